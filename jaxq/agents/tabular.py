@@ -1,0 +1,112 @@
+"""Tabular Q-learning: a table of action values, epsilon-greedy behaviour, one update per transition."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+
+from jaxq import policies, rules, schedules
+from jaxq.types import Agent, Array, Clock, Key, Metrics, Transition
+
+#: Tables up to this many cells are written densely: on a CPU a masked pass over a small table is vector code, where
+#: a scatter is a loop. Measured in docs/performance.md.
+DENSE_CELLS = 512
+
+
+class TabularHypers(NamedTuple):
+    """The numbers of a tabular learner: the step size and epsilon decay by episode on the tutorial's log10 schedule."""
+
+    alpha_min: Array
+    alpha_max: Array
+    epsilon_min: Array
+    epsilon_max: Array
+    decay_coeff: Array
+    gamma: Array
+    initial_value: Array
+
+
+class TabularState(NamedTuple):
+    """The table of action values, [S, A]."""
+
+    table: Array
+
+
+def tabular(
+    hypers: TabularHypers,
+    *,
+    num_states: int,
+    num_actions: int,
+    bootstrap_terminal: bool = False,
+    dtype: DTypeLike = jnp.float32,
+) -> Agent:
+    """Q-learning on a table: q[s, a] += alpha (r + gamma c max_b q[s', b] - q[s, a]), c = 0 after a termination.
+
+    Watkins and Dayan, *Q-learning*, 1992. With ``bootstrap_terminal`` c is always 1, as in the tutorial's update, which
+    bootstraps through death: kept to reproduce it. Experience [T, N] is applied in the order of time, then environment.
+    ``Metrics.loss`` is the mean of half the squared TD error, ``Metrics.max_q`` the largest value of the last successor
+    before its update, the tutorial's ``best_q``. Raises ValueError when a count is below 1.
+    """
+    if num_states < 1 or num_actions < 1:
+        raise ValueError(f"num_states, num_actions: {num_states}, {num_actions} must be at least 1")
+
+    def alpha(clock: Clock) -> Array:
+        decayed = schedules.log10_decay(clock.episodes, hypers.alpha_min, hypers.alpha_max, hypers.decay_coeff)
+        return clock.live * decayed
+
+    def exploration(clock: Clock) -> Array:
+        return schedules.log10_decay(clock.episodes, hypers.epsilon_min, hypers.epsilon_max, hypers.decay_coeff)
+
+    def init(key: Key, example: Transition) -> TabularState:
+        del key, example
+        return TabularState(jnp.full((num_states, num_actions), hypers.initial_value, dtype))
+
+    def act(key: Key, state: TabularState, obs: Array, clock: Clock) -> Array:
+        return policies.epsilon_greedy(key, state.table[obs], exploration(clock))
+
+    def learn(table: Array, step_size: Array, transition: Transition) -> tuple[Array, Metrics]:
+        s_tm1, a_tm1, r_t, continues_t, s_t, _ = transition
+        discount_t = hypers.gamma * (1.0 if bootstrap_terminal else continues_t)
+        q_t = table[s_t]
+        delta = rules.q_learning(table[s_tm1], a_tm1, r_t, discount_t, q_t).astype(dtype)
+        table = add_to_table(table, s_tm1, a_tm1, step_size.astype(dtype) * delta)
+        return table, Metrics(0.5 * jnp.square(delta), jnp.max(q_t))
+
+    def update(key: Key, state: TabularState, experience: Transition, clock: Clock) -> tuple[TabularState, Metrics]:
+        del key
+        table, step_size = state.table, alpha(clock)
+        rollout, envs = experience.r_t.shape
+        metrics = []
+        for t in range(rollout):
+            for n in range(envs):
+                one = Transition(*(leaf[t, n] for leaf in experience))
+                table, measured = learn(table, step_size, one)
+                metrics.append(measured)
+        return TabularState(table), Metrics(sum(m.loss for m in metrics) / len(metrics), metrics[-1].max_q)
+
+    def observe(state: TabularState, experience: Transition) -> TabularState:
+        del experience
+        return state
+
+    def policy(state: TabularState) -> Array:
+        return state.table
+
+    def q_values(policy: Array, obs: Array) -> Array:
+        return policy[obs]
+
+    return Agent(init, act, exploration, update, observe, policy, q_values)
+
+
+def add_to_table(table: Array, state: Array, action: Array, amount: Array) -> Array:
+    """The table with ``amount`` added to one cell.
+
+    q[state, action] += amount. Shapes: table [S, A], the rest [] -> [S, A].
+
+    >>> add_to_table(jnp.zeros((2, 2)), jnp.array(1), jnp.array(0), 3.0).tolist()
+    [[0.0, 0.0], [3.0, 0.0]]
+    """
+    if table.size > DENSE_CELLS:
+        return table.at[state, action].add(amount)
+    cell = jnp.arange(table.size).reshape(table.shape) == state * table.shape[1] + action
+    return table + jnp.where(cell, amount, 0)

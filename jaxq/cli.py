@@ -1,0 +1,328 @@
+"""The command line. stdout is data, stderr is talk; a user's mistake is one line and exit 2.
+
+Only this file and the modules it calls print. Nothing here imports jax before the arguments are known to be good.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn, get_origin
+
+from pydantic.fields import FieldInfo
+
+from jaxq import __version__, cpu
+from jaxq.plans import plan
+from jaxq.presets import Preset, Settings, preset, presets
+from jaxq.suggest import nearest
+
+EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_INTERRUPTED = 0, 1, 2, 75, 130
+
+_COMMANDS = {
+    "sweep": "train a preset over settings and seeds, many lanes at once",
+    "train": "train one lane, with its episodes and pictures",
+    "list": "list the presets and environments",
+}
+
+
+class UsageError(Exception):
+    """A user's mistake, in one line."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse with one-line errors and suggestions."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(message)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the command line and returns its exit status."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _dispatch(arguments)
+    except UsageError as error:
+        print(f"jaxq: error: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    except BrokenPipeError:  # the reader of stdout has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_OK
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if not arguments or arguments[0].startswith("-"):
+        _overview().parse_args(arguments or ["--help"])
+        return EXIT_OK
+    command, rest = arguments[0], arguments[1:]
+    if command == "list":
+        _Parser(prog="jaxq list", description=_COMMANDS["list"]).parse_args(rest)
+        return _list()
+    if command not in _COMMANDS:
+        raise UsageError(f"command {command!r} is unknown{nearest(command, _COMMANDS)}")
+    if not rest or rest[0].startswith("-"):
+        _preset_overview(command).parse_args(rest or ["--help"])
+        return EXIT_USAGE if not rest else EXIT_OK
+    try:
+        chosen = preset(rest[0])
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    parser = _parser(command, chosen)
+    options, unknown = parser.parse_known_args(rest[1:])
+    if unknown:
+        known = [flag for action in parser._actions for flag in action.option_strings]
+        stray = next((word for word in unknown if word.startswith("-")), unknown[0])
+        raise UsageError(f"{stray} is unknown to jaxq {command} {chosen.name}{nearest(stray.split('=')[0], known)}")
+    return _run(command, chosen, options)
+
+
+def _overview() -> argparse.ArgumentParser:
+    lines = "\n".join(f"  {name:8}{help}" for name, help in _COMMANDS.items())
+    parser = _Parser(
+        prog="jaxq",
+        usage="jaxq COMMAND ...",
+        description=f"Value-based reinforcement learning, thousands of small trainings at once.\n\ncommands:\n{lines}",
+        epilog="jaxq COMMAND --help says more; for example: jaxq sweep article-q --seeds 100",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"jaxq {__version__}")
+    return parser
+
+
+def _preset_overview(command: str) -> argparse.ArgumentParser:
+    lines = "\n".join(f"  {p.name:14}{p.summary}" for p in presets())
+    return _Parser(
+        prog=f"jaxq {command}",
+        usage=f"jaxq {command} PRESET [options]",
+        description=f"{_COMMANDS[command].capitalize()}.\n\npresets:\n{lines}",
+        epilog=f"jaxq {command} PRESET --help lists every hyperparameter",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+
+
+def _parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
+    several = command == "sweep"
+    parser = _Parser(
+        prog=f"jaxq {command} {chosen.name}",
+        description=f"{chosen.summary.capitalize()}."
+        + (" Several values after a flag make an axis; the sweep is the product of all axes." if several else ""),
+        allow_abbrev=False,
+    )
+    run = parser.add_argument_group("run")
+    if several:
+        run.add_argument("--seeds", type=int, default=10, help="seeds of each setting (default 10)", metavar="N")
+        run.add_argument("--episodes", action="store_true", help="keep a row of every training episode as well")
+    run.add_argument("--seed", type=int, default=0, help="root of all randomness (default 0)", metavar="N")
+    run.add_argument("--prng", default=None, help=f"key family (default {chosen.prng})", metavar="NAME")
+    run.add_argument("--out", type=Path, default=None, help="run directory (default runs/<preset>-<hash>)", metavar="DIR")
+    run.add_argument("--resume", action="store_true", help="finish the sweep that the run directory holds")
+    run.add_argument("--overwrite", action="store_true", help="replace the run directory")
+    run.add_argument("--dry-run", action="store_true", help="say what would run, and stop")
+    run.add_argument("--json", action="store_true", help="print one JSON object: lanes, summary, timing")
+    run.add_argument("--quiet", action="store_true", help="no progress and no talk")
+    run.add_argument("--no-progress", action="store_true", help="no progress bar")
+    run.add_argument("--verbose", action="store_true", help="a line per lane, or per episode of a train")
+    run.add_argument("--workers", type=int, default=None, help="cores to use (default all)", metavar="N")
+    for title, wanted in (("hyperparameters", False), ("structure (each combination is compiled once)", True)):
+        group = parser.add_argument_group(title)
+        for name, info in type(chosen.settings).model_fields.items():
+            if chosen.settings.is_structure(name) is wanted:
+                _add_flag(group, name, info, getattr(chosen.settings, name), several)
+    return parser
+
+
+def _add_flag(group: Any, name: str, info: FieldInfo, default: Any, several: bool) -> None:
+    shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
+    text = f"{info.description} (default {shown})".replace("%", "%%")
+    flag = f"--{name.replace('_', '-')}"
+    metavar = "true|false" if info.annotation is bool else "VALUE"
+    if several:
+        group.add_argument(flag, nargs="+", default=None, help=text, metavar=metavar, dest=f"set_{name}")
+    else:
+        group.add_argument(flag, default=None, help=text, metavar=metavar, dest=f"set_{name}")
+
+
+def _values(chosen: Preset, options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that were given, each a list of what the preset's model reads."""
+    given = {}
+    for name, info in type(chosen.settings).model_fields.items():
+        raw = getattr(options, f"set_{name}")
+        if raw is not None:
+            words = raw if isinstance(raw, list) else [raw]
+            is_tuple = get_origin(info.annotation) is tuple
+            given[name] = [tuple(word.split(",")) if is_tuple else word for word in words]
+    return given
+
+
+def _list() -> int:
+    from jaxq.envs import names
+
+    print("presets")
+    for p in presets():
+        print(f"  {p.name:14}{p.summary}")
+    print("environments")
+    for name in names():
+        print(f"  {name}")
+    return EXIT_OK
+
+
+def _run(command: str, chosen: Preset, options: argparse.Namespace) -> int:
+    if options.workers is not None and options.workers < 1:
+        raise UsageError(f"--workers: {options.workers} is not allowed: at least 1")
+    if options.resume and options.overwrite:
+        raise UsageError("--resume and --overwrite exclude each other")
+    try:
+        planned = plan(
+            chosen.name,
+            seeds=options.seeds if command == "sweep" else 1,
+            root_seed=options.seed,
+            prng=options.prng,
+            **_values(chosen, options),
+        )
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    if options.dry_run:
+        print(f"{len(planned.settings)} settings x {len(planned.seeds)} seeds = {planned.lanes} lanes")
+        print(f"{planned.programs} programs")
+        return EXIT_OK
+    cpu.tune()
+    from jaxq.runs import Locked, RunDirectory, RunError
+
+    name = planned.default_name() if command == "sweep" else f"train-{planned.default_name()}"
+    path = options.out or Path("runs") / name
+    try:
+        with RunDirectory.open(path, planned, resume=options.resume, overwrite=options.overwrite) as directory:
+            return _sweep(command, planned, directory, options)
+    except Locked as error:
+        print(f"jaxq: error: {error}", file=sys.stderr)
+        return EXIT_LOCKED
+    except RunError as error:
+        raise UsageError(str(error)) from None
+
+
+def _sweep(command: str, planned: Any, directory: Any, options: argparse.Namespace) -> int:
+    from jaxq import sweeps
+    from jaxq.progress import Display
+
+    stop = threading.Event()
+    before = _on_interrupt(stop, options)
+    episodes = _episode_printer(planned.settings[0]) if command == "train" and options.verbose else None
+    kept: list[Any] = []
+    with Display(planned, show=not (options.quiet or options.no_progress), talk=not options.quiet) as display:
+
+        def on_result(result: Any) -> None:
+            if command == "train":
+                kept.append(result)
+                if episodes:
+                    episodes(result)
+            elif options.verbose:
+                display.say(
+                    f"setting {result.lane.config} seed {result.lane.seed}: {result.status} after"
+                    f" {len(result.episodes.total)} episodes, {result.env_steps} steps"
+                )
+
+        outcome = sweeps.run(
+            planned,
+            directory=directory,
+            keep_episodes=command == "train" or options.episodes,
+            keep_max_q=command == "train",
+            workers=options.workers,
+            on_compile=display.compiling,
+            on_progress=display.progress,
+            on_result=on_result,
+            stop=stop,
+        )
+    signal.signal(signal.SIGINT, before)
+    if not outcome.complete:
+        if not options.quiet:
+            print(
+                f"interrupted: {len(outcome.lanes)} of {planned.lanes} lanes are kept in {directory.path};"
+                f" the same command with --resume --out {directory.path} finishes them",
+                file=sys.stderr,
+            )
+        return EXIT_INTERRUPTED
+    _print(command, outcome, directory, kept, options)
+    hopeless = any(row["diverged"] == row["seeds"] for row in outcome.summary())
+    return EXIT_FAILED if hopeless else EXIT_OK
+
+
+def _on_interrupt(stop: threading.Event, options: argparse.Namespace) -> Any:
+    """First Ctrl-C: finish the segment and keep what ended. Second: leave at once; what was written stays."""
+
+    def handle(number: int, frame: object) -> None:
+        if stop.is_set():
+            os._exit(EXIT_INTERRUPTED)
+        stop.set()
+        if not options.quiet:
+            print("stopping after this segment; once more to stop at once", file=sys.stderr)
+
+    return signal.signal(signal.SIGINT, handle)
+
+
+def _episode_printer(settings: Settings) -> Callable[[Any], None]:
+    streak = hasattr(settings, "success_streak")
+
+    def show(result: Any) -> None:
+        for i, (_, length, total, max_q) in enumerate(zip(*result.episodes, strict=True)):
+            mark = ""
+            if streak:
+                mark = "  success" if length - 1 >= settings.success_steps else "  fail"  # type: ignore[attr-defined]
+            print(f"episode {i}: {length} steps, return {total:g}, best q {max_q:.4f}{mark}", file=sys.stderr)
+
+    return show
+
+
+def _print(command: str, outcome: Any, directory: Any, kept: list[Any], options: argparse.Namespace) -> None:
+    from rich.console import Console
+
+    from jaxq import report
+
+    summary = outcome.summary()
+    pictures = _pictures(command, outcome, directory, kept)
+    if options.json:
+        print(json.dumps({"lanes": outcome.lanes, "summary": summary, "timing": outcome.timing.rows()}))
+    else:
+        console = Console(width=None if sys.stdout.isatty() else 160)
+        if command == "train" and kept and hasattr(kept[0].lane.hypers.agent, "alpha_min"):
+            print("final Q-table")
+            print(report.q_table(kept[0].policy, outcome.plan.settings[0].num_buckets))
+        console.print(report.settings_table(summary, outcome.plan.varied))
+    if not options.quiet:
+        for picture in pictures:
+            print(picture, file=sys.stdout if not options.json else sys.stderr)
+        print(f"rows, policies and manifest: {directory.path}", file=sys.stderr)
+
+
+def _pictures(command: str, outcome: Any, directory: Any, kept: list[Any]) -> list[Path]:
+    from jaxq import plots
+
+    if command == "sweep":
+        labels = {
+            i: ", ".join(f"{name} {getattr(one, name)}" for name in outcome.plan.varied) or outcome.plan.preset.name
+            for i, one in enumerate(outcome.plan.settings)
+        }
+        target = directory.path / "learning_curves.png"
+        return [plots.learning_curves(target, outcome.lanes, outcome.curves, labels)]
+    made = []
+    for result in kept:
+        settings = outcome.plan.settings[0]
+        if result.max_q is not None:
+            made.append(plots.q_values(directory.path / "q_values.png", result.max_q))
+        made.append(
+            plots.episode_lengths(
+                directory.path / "episodes.png",
+                result.episodes.length,
+                title="Successful steps over training episodes",
+                success_at=settings.success_steps,
+            )
+        )
+    return made

@@ -1,0 +1,29 @@
+"""XLA's settings for many small loops on a CPU, to be made before JAX starts."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+#: XLA compiles a loop whose buffers are smaller than this into one function, with no dispatch between its operations.
+#: Its own limit is 1 KiB; a group of table learners is some hundred KiB.
+SMALL_LOOP_BYTES = 8 * 2**20
+
+FLAGS = (
+    # One group of lanes is one core's work: a product shared out among threads would wait for the other groups.
+    "--xla_cpu_multi_thread_eigen=false",
+    f"--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold={SMALL_LOOP_BYTES}",
+)
+
+
+def tune() -> bool:
+    """Adds ``FLAGS`` to XLA_FLAGS unless the user has set them; False, and no change, when JAX has been imported.
+
+    The command line calls this. In a program of your own, call it before the first import of jax.
+    """
+    if "jax" in sys.modules:
+        return False
+    given = os.environ.get("XLA_FLAGS", "")
+    missing = [flag for flag in FLAGS if flag.split("=")[0] not in given]
+    os.environ["XLA_FLAGS"] = " ".join([given, *missing]).strip()
+    return True

@@ -1,0 +1,49 @@
+"""Environments by name.
+
+>>> make("CartPole-v1", length=0.25).num_actions
+2
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from jaxq.envs.auto_reset import auto_reset
+from jaxq.envs.cartpole import CartPoleParams, CartPoleState, cartpole
+from jaxq.envs.discretise import discretise, tutorial_edges
+from jaxq.suggest import nearest
+from jaxq.types import Env
+
+__all__ = [
+    "CartPoleParams",
+    "CartPoleState",
+    "auto_reset",
+    "cartpole",
+    "discretise",
+    "make",
+    "names",
+    "tutorial_edges",
+]
+
+_REGISTRY = {"CartPole-v1": (cartpole, CartPoleParams)}
+
+
+def names() -> list[str]:
+    """The names that ``make`` knows."""
+    return sorted(_REGISTRY)
+
+
+def make(name: str, **settings: Any) -> Env:
+    """The environment of that name; settings are fields of its physics or options of its factory.
+
+    Raises ValueError for an unknown name and TypeError for an unknown setting, with the nearest known one.
+    """
+    if name not in _REGISTRY:
+        raise ValueError(f"environment: {name!r} is unknown{nearest(name, names())}")
+    factory, params_type = _REGISTRY[name]
+    options = {k for k in factory.__kwdefaults__ or {}}
+    unknown = [k for k in settings if k not in params_type._fields and k not in options]
+    if unknown:
+        raise TypeError(f"{name}: no setting {unknown[0]!r}{nearest(unknown[0], [*params_type._fields, *options])}")
+    params = params_type(**{k: v for k, v in settings.items() if k in params_type._fields})
+    return factory(params, **{k: v for k, v in settings.items() if k in options})

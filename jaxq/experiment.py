@@ -1,0 +1,253 @@
+"""An environment and an agent meet: one training, as two pure functions that the engine vmaps over lanes.
+
+A training is a chain of *rounds*: T steps of N environments, then one update. ``advance`` runs a fixed number of
+rounds, a *segment*, and logs every step, so the same compiled program serves a sweep that looks at totals and a train
+command that shows each episode.
+
+Keys: the state holds the words of the lane's key, never a typed key. The key of step t of environment n and the key of
+update u are folds of them, so no key is carried and none is used twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxq import policies, prng
+from jaxq.envs.auto_reset import auto_reset
+from jaxq.success import Success
+from jaxq.types import Agent, Array, Clock, Env, Experiment, Hypers, Key, Step, Transition
+
+#: Why a lane stands still; 0 while it runs.
+RUNNING, SOLVED, FINISHED, DIVERGED = range(4)
+
+
+class Limits(NamedTuple):
+    """The numbers of a run: where it ends, and what counts as success."""
+
+    max_episodes: Array
+    max_env_steps: Array
+    success_steps: Array
+    success_streak: Array
+
+
+class LaneState(NamedTuple):
+    """Everything one training is, between two segments."""
+
+    key_words: Array  # the words of the lane's key
+    round: Array  # rounds done, warm-up included; it goes on where the clock stops
+    env: Any  # [N, ...]
+    length: Array  # [N] steps of the episode under way
+    total: Array  # [N] its return
+    agent: Any
+    success: Any
+    clock: Clock
+    status: Array
+
+
+class Log(NamedTuple):
+    """What happened in U rounds, step by step. Rows past the lane's end are to be ignored: its clock stopped there."""
+
+    over: Array  # [U, T, N] bool, an episode ended at this step
+    total: Array  # [U, T, N] the return of the episode up to this step
+    max_q: Array  # [U]; NaN where there was no update (warm-up)
+    loss: Array  # [U]
+    epsilon: Array  # [], the exploration rate after the last round
+
+
+def experiment(
+    make_env: Callable[[Any], Env],
+    make_agent: Callable[[Any, Env], Agent],
+    *,
+    success: Success,
+    rounds: int,
+    num_envs: int = 1,
+    steps_per_round: int = 1,
+    warm_up_steps: int = 0,
+    eval_episodes: int = 10,
+    eval_steps: int = 500,
+    impl: str = "threefry",
+) -> Experiment:
+    """A training of what ``make_agent(hypers.agent, env)`` learns on ``make_env(hypers.env)``.
+
+    One segment is ``rounds`` rounds of ``steps_per_round`` steps of ``num_envs`` environments and one update. Before
+    the first round the agent acts, without learning, until ``warm_up_steps`` transitions less one round are stored, so
+    that the first update sees at least ``warm_up_steps``. ``hypers.run`` is a Limits; ``impl`` is the family of the keys. Raises ValueError for a count
+    below 1 (``warm_up_steps`` below 0).
+    """
+    counts = {"rounds": rounds, "num_envs": num_envs, "steps_per_round": steps_per_round}
+    counts |= {"eval_episodes": eval_episodes, "eval_steps": eval_steps, "warm_up_steps": warm_up_steps + 1}
+    for name, count in counts.items():
+        if count < 1:
+            raise ValueError(f"{name}: {count} is too small")
+    warm_up = max(0, -(-warm_up_steps // num_envs) - steps_per_round)
+
+    def make(hypers: Hypers) -> tuple[Env, Agent]:
+        env = make_env(hypers.env)
+        return auto_reset(env), make_agent(hypers.agent, env)
+
+    def init(key: Key, hypers: Hypers) -> tuple[LaneState, Log]:
+        env, agent = make(hypers)
+        words = jax.random.key_data(key)
+        streams = _streams(words, impl)
+        env_state = jax.vmap(env.reset)(jax.random.split(streams.reset, num_envs))
+        state = LaneState(
+            key_words=words,
+            round=jnp.zeros((), jnp.int32),
+            env=env_state,
+            length=jnp.zeros((num_envs,), jnp.int32),
+            total=jnp.zeros((num_envs,), jnp.float32),
+            agent=agent.init(streams.agent, _example(env, env_state)),
+            success=success.init(),
+            clock=Clock(*(jnp.zeros((), jnp.int32) for _ in range(3)), live=jnp.ones((), jnp.float32)),
+            status=jnp.zeros((), jnp.int32),
+        )
+        if warm_up == 0:
+            empty = jnp.zeros((0, 1, num_envs))
+            none = (empty.astype(bool), empty, jnp.zeros((0,)), jnp.zeros((0,)))
+            return state, Log(*none, epsilon=agent.exploration(state.clock))
+
+        def body(state: LaneState, _: None) -> tuple[LaneState, tuple[Array, ...]]:
+            state, experience, solved, (over, total) = _rollout(env, agent, success, streams, state, hypers.run, 1)
+            state = state._replace(agent=agent.observe(state.agent, experience))
+            nan = jnp.full((), jnp.nan)
+            return _judge(state, solved, jnp.zeros((), bool), hypers.run), (over, total, nan, nan)
+
+        state, rows = jax.lax.scan(body, state, length=warm_up)
+        return state, Log(*rows, epsilon=agent.exploration(state.clock))
+
+    def advance(state: LaneState, hypers: Hypers) -> tuple[LaneState, Log]:
+        env, agent = make(hypers)
+        streams = _streams(state.key_words, impl)
+
+        def body(state: LaneState, _: None) -> tuple[LaneState, tuple[Array, ...]]:
+            before = state.clock
+            state, experience, solved, (over, total) = _rollout(
+                env, agent, success, streams, state, hypers.run, steps_per_round
+            )
+            key = jax.random.fold_in(streams.update, state.round)
+            learner, metrics = agent.update(key, state.agent, experience, before)
+            done = before.live.astype(jnp.int32)
+            state = state._replace(agent=learner, clock=state.clock._replace(updates=before.updates + done))
+            diverged = ~jnp.isfinite(metrics.loss + metrics.max_q)
+            state = _judge(state, solved, diverged, hypers.run)
+            return state, (over, total, metrics.max_q.astype(jnp.float32), metrics.loss.astype(jnp.float32))
+
+        state, rows = jax.lax.scan(body, state, length=rounds)
+        return state, Log(*rows, epsilon=agent.exploration(state.clock))
+
+    def evaluate(key: Key, policy: Any, hypers: Hypers) -> Array:
+        env = make_env(hypers.env)
+        agent = make_agent(hypers.agent, env)
+        streams = _streams(jax.random.key_data(key), impl)
+        return greedy_returns(streams.evaluate, env, lambda obs: agent.q_values(policy, obs), eval_episodes, eval_steps)
+
+    def policy(state: LaneState, hypers: Hypers) -> Any:
+        return make(hypers)[1].policy(state.agent)
+
+    return Experiment(init, advance, evaluate, policy)
+
+
+def greedy_returns(
+    key: Key, env: Env, q_values: Callable[[Any], Array], episodes: int, max_steps: int
+) -> Array:
+    """Returns of whole episodes under the greedy policy, each from its own reset and at most ``max_steps`` long.
+
+    Shapes: -> [episodes] float32. The start states depend on the key alone, so settings that share a key are compared
+    on the same ones.
+    """
+
+    def one(key: Key) -> Array:
+        reset_key, step_key = jax.random.split(key)
+
+        def body(carry: tuple[Any, Array, Array], t: Array) -> tuple[tuple[Any, Array, Array], None]:
+            state, total, going = carry
+            action = policies.greedy(q_values(env.observe(state)))
+            state, happened = env.step(jax.random.fold_in(step_key, t), state, action)
+            total = total + going * happened.reward.astype(jnp.float32)
+            return (state, total, going * ~(happened.terminated | happened.truncated)), None
+
+        start = (env.reset(reset_key), jnp.zeros((), jnp.float32), jnp.ones((), jnp.float32))
+        return jax.lax.scan(body, start, jnp.arange(max_steps))[0][1]
+
+    return jax.vmap(one)(jax.random.split(key, episodes))
+
+
+class _Streams(NamedTuple):
+    reset: Key
+    agent: Key
+    step: Key
+    update: Key
+    evaluate: Key
+
+
+def _streams(words: Array, impl: str) -> _Streams:
+    return _Streams(*jax.random.split(prng.wrap(words, impl), 5))
+
+
+def _rollout(
+    env: Env, agent: Agent, success: Success, streams: _Streams, state: LaneState, limits: Limits, steps: int
+) -> tuple[LaneState, Transition, Array, tuple[Array, Array]]:
+    """``steps`` steps of all environments. Experience has axes [steps, N]."""
+    num_envs = state.length.shape[0]
+    live = state.clock.live.astype(jnp.int32)
+
+    def one_env(index: Array, env_state: Any, learner: Any, clock: Clock) -> tuple[Any, Transition, Step]:
+        act_key, env_key = jax.random.split(jax.random.fold_in(streams.step, index))
+        obs = env.observe(env_state)
+        action = agent.act(act_key, learner, obs, clock)
+        env_state, happened = env.step(env_key, env_state, action)
+        continues = 1.0 - happened.terminated.astype(jnp.float32)
+        cut = happened.terminated | happened.truncated
+        return env_state, Transition(obs, action, happened.reward, continues, happened.obs, cut), happened
+
+    def body(carry: tuple[LaneState, Array], t: Array) -> tuple[tuple[LaneState, Array], Any]:
+        state, solved = carry
+        index = (state.round * steps + t) * num_envs + jnp.arange(num_envs)
+        env_state, experience, happened = jax.vmap(one_env, in_axes=(0, 0, None, None))(
+            index, state.env, state.agent, state.clock
+        )
+        over = experience.cut_t
+        length, total = state.length + 1, state.total + happened.reward.astype(jnp.float32)
+        judged = state.success
+        for n in range(num_envs):
+            judged, met = success.update(judged, over[n], length[n], limits)
+            solved = solved | met
+        clock = state.clock._replace(
+            env_steps=state.clock.env_steps + live * num_envs,
+            episodes=state.clock.episodes + live * jnp.sum(over, dtype=jnp.int32),
+        )
+        state = state._replace(
+            env=env_state,
+            length=jnp.where(over, 0, length),
+            total=jnp.where(over, 0.0, total),
+            success=judged,
+            clock=clock,
+        )
+        return (state, solved), (experience, over, total)
+
+    start = (state, jnp.zeros((), bool))
+    (state, solved), (experience, over, total) = jax.lax.scan(
+        body, start, jnp.arange(steps, dtype=jnp.int32), unroll=steps == 1
+    )
+    return state._replace(round=state.round + 1), experience, solved, (over, total)
+
+
+def _judge(state: LaneState, solved: Array, diverged: Array, limits: Limits) -> LaneState:
+    """Ends a live lane that diverged, succeeded or reached a limit, in this order of weight."""
+    clock = state.clock
+    limit = (clock.episodes >= limits.max_episodes) | (clock.env_steps >= limits.max_env_steps)
+    verdict = jnp.where(diverged, DIVERGED, jnp.where(solved, SOLVED, jnp.where(limit, FINISHED, RUNNING)))
+    status = jnp.where(clock.live > 0, verdict, state.status)
+    return state._replace(status=status, clock=clock._replace(live=(status == RUNNING).astype(jnp.float32)))
+
+
+def _example(env: Env, env_state: Any) -> Transition:
+    """One transition of the right shapes and dtypes, for an agent to lay out its state."""
+    one = jax.tree.map(lambda leaf: leaf[0], env_state)
+    obs = env.observe(one)
+    zero = jnp.zeros((), jnp.float32)
+    return Transition(obs, jnp.zeros((), jnp.int32), zero, zero, obs, jnp.zeros((), bool))

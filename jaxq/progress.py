@@ -1,0 +1,82 @@
+"""The progress display on stderr: lanes done, solved, env steps per second, time left."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from jaxq.lanes import Progress as Done
+from jaxq.plans import Plan
+
+
+class Display:
+    """A bar over all lanes, where stderr is a terminal; elsewhere a line per program and one at the end."""
+
+    def __init__(self, plan: Plan, *, show: bool, talk: bool):
+        self.plan, self.talk = plan, talk
+        self.console = Console(stderr=True)
+        self.began: float | None = None
+        self.last: Done | None = None
+        self.bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[done]}/{task.fields[lanes]} lanes, {task.fields[solved]} solved"),
+            TextColumn("{task.fields[speed]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self.console,
+            disable=not (show and talk and self.console.is_terminal),
+            transient=True,
+        )
+        self.task: Any = None
+
+    def __enter__(self) -> Display:
+        self.bar.start()
+        fields = {"done": 0, "lanes": self.plan.lanes, "solved": 0, "speed": ""}
+        self.task = self.bar.add_task(self.plan.preset.name, total=self.plan.lanes, **fields)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.bar.stop()
+        if self.talk and self.last is not None and self.began is not None:
+            seconds = time.monotonic() - self.began
+            self.console.print(
+                f"{self.last.done} of {self.plan.lanes} lanes, {self.last.solved} solved,"
+                f" {self.last.diverged} diverged; {self.last.env_steps} env steps in {seconds:.1f} s,"
+                f" {_rate(self.last.env_steps, seconds)}",
+                highlight=False,
+            )
+
+    def say(self, text: str) -> None:
+        """A line of talk above the bar."""
+        if self.talk:
+            self.bar.console.print(text, highlight=False)
+
+    def compiling(self, number: int, programs: int) -> None:
+        """Program ``number`` of ``programs`` is about to be compiled."""
+        self.bar.update(self.task, description=f"{self.plan.preset.name}: compiling {number}/{programs}")
+
+    def progress(self, done: Done) -> None:
+        """Shows where the engine stands."""
+        now = time.monotonic()
+        self.began = self.began or now
+        self.last = done
+        self.bar.update(
+            self.task,
+            description=self.plan.preset.name,
+            completed=done.share,
+            done=done.done,
+            solved=done.solved,
+            speed=_rate(done.env_steps, now - self.began),
+        )
+
+
+def _rate(count: int, seconds: float) -> str:
+    rate = count / seconds if seconds > 0.05 else 0.0
+    for unit, size in (("M", 1e6), ("k", 1e3)):
+        if rate >= size:
+            return f"{rate / size:.1f} {unit} env steps/s"
+    return f"{rate:.0f} env steps/s"

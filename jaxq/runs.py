@@ -1,0 +1,191 @@
+"""The run directory: what a sweep leaves on disk, written so that a kill loses only the lanes under way.
+
+``manifest.json`` says what was asked for and with what; ``parts/`` holds batches of rows, ``policies/`` the weights.
+Every file is written under a temporary name, synced and renamed. A batch's ``lanes`` part is written last and is the
+commit: rows without it never happened.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import filelock
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import safetensors.numpy
+
+from jaxq.plans import Plan
+from jaxq.tables import Row
+
+FORMAT = 1
+_FLOATS = {"train_return", "eval_return", "final_return", "loss", "max_q", "epsilon", "return", "learning_rate_end"}
+_INTEGERS = {"solved_at_episode", "solved_at_step", "diverged_at_step", "stopped_at_rung"}
+
+
+class RunError(Exception):
+    """A run directory that cannot be used; the message says why and what to do."""
+
+
+class Locked(RunError):
+    """Another process has the run directory."""
+
+
+class RunDirectory:
+    """One sweep's directory, locked while it is open. Use as a context manager."""
+
+    def __init__(self, path: Path, manifest: dict[str, Any], lock: filelock.BaseFileLock):
+        self.path, self.manifest, self._lock = path, manifest, lock
+
+    @classmethod
+    def open(cls, path: Path, plan: Plan, *, resume: bool = False, overwrite: bool = False) -> RunDirectory:
+        """Creates the directory, or opens it again for the same plan.
+
+        Raises RunError when it exists and neither ``resume`` nor ``overwrite`` is given, when it cannot be made, or
+        when it was made for another plan; Locked when another process has it.
+        """
+        existing = path / "manifest.json"
+        if path.exists() and not (resume or overwrite):
+            raise RunError(f"{path}: exists; add --resume to finish it or --overwrite to replace it")
+        if path.exists() and overwrite and not existing.exists() and any(path.iterdir()):
+            raise RunError(f"{path}: is not a run directory, so it is not overwritten")
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            lock = filelock.FileLock(path / "lock")
+            lock.acquire(timeout=0)
+        except filelock.Timeout:
+            raise Locked(f"{path}: another process is writing to it") from None
+        except OSError as error:
+            raise RunError(f"{path}: {error.strerror}") from None
+        try:
+            if resume and existing.exists():
+                manifest = _read_manifest(existing)
+                if manifest.get("spec_hash") != plan.hash():
+                    raise RunError(f"{path}: was made for another sweep; choose another --out")
+                return cls(path, manifest, lock)
+            for part in [*path.glob("parts/*"), *path.glob("policies/*"), *path.glob("*.png")]:
+                part.unlink()
+            manifest = {"format": FORMAT, "spec_hash": plan.hash(), "spec": plan.spec(), **_machine(), "parts": {}}
+            run = cls(path, manifest, lock)
+            (path / "parts").mkdir(exist_ok=True)
+            (path / "policies").mkdir(exist_ok=True)
+            run._write_manifest()
+            return run
+        except BaseException:
+            lock.release()
+            raise
+
+    def __enter__(self) -> RunDirectory:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._lock.release()
+
+    def write(
+        self,
+        lanes: Sequence[Row],
+        curves: Sequence[Row],
+        policies: dict[tuple[int, int], dict[str, np.ndarray]],
+        episodes: Sequence[Row] = (),
+    ) -> None:
+        """Adds a batch of lanes that ended."""
+        number = 1 + max((int(name[:5]) for name in self.manifest["parts"]), default=-1)
+        tensors = {
+            f"{config}/{seed}/{name}": np.ascontiguousarray(array)
+            for (config, seed), arrays in policies.items()
+            for name, array in arrays.items()
+        }
+        self._replace(f"policies/{number:05d}.safetensors", safetensors.numpy.save(tensors))
+        for kind, rows in (("curves", curves), ("episodes", episodes), ("lanes", lanes)):
+            if rows:
+                sink = pa.BufferOutputStream()
+                pq.write_table(_table(rows), sink, write_page_checksum=True, compression="zstd")
+                data = sink.getvalue().to_pybytes()
+                name = f"{number:05d}-{kind}.parquet"
+                self._replace(f"parts/{name}", data)
+                self.manifest["parts"][name] = hashlib.sha256(data).hexdigest()
+        self._write_manifest()
+
+    def rows(self, kind: str) -> list[Row]:
+        """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``."""
+        return read_rows(self.path, kind)
+
+    def _replace(self, name: str, data: bytes) -> None:
+        target = self.path / name
+        temporary = target.with_name(f".{target.name}.tmp")
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(target)
+
+    def _write_manifest(self) -> None:
+        self._replace("manifest.json", json.dumps(self.manifest, indent=1).encode())
+
+
+def read_rows(path: Path, kind: str) -> list[Row]:
+    """The committed rows of one table of a run directory, sorted by setting and seed."""
+    committed = sorted(file.name[:5] for file in (path / "parts").glob("*-lanes.parquet"))
+    files = [path / "parts" / f"{number}-{kind}.parquet" for number in committed]
+    rows = [row for file in files if file.exists() for row in pq.read_table(file).to_pylist()]
+    return sorted(rows, key=lambda row: (row["config"], row["seed"]))
+
+
+def flatten(policy: Any) -> dict[str, np.ndarray]:
+    """A policy's arrays by path: ``table`` for a table, ``params.Dense_0.kernel`` and so on for a network."""
+    if isinstance(policy, dict):
+        return {
+            f"{name}.{rest}" if rest else name: array
+            for name, branch in policy.items()
+            for rest, array in flatten(branch).items()
+        }
+    if isinstance(policy, (list, tuple)):
+        return flatten({str(i): branch for i, branch in enumerate(policy)})
+    return {"": np.asarray(policy)}
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    try:
+        manifest = json.loads(path.read_text())
+    except (OSError, ValueError):
+        raise RunError(f"{path}: cannot be read; start again with --overwrite") from None
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise RunError(f"{path}: is not a manifest of this version; start again with --overwrite")
+    return manifest
+
+
+def _table(rows: Sequence[Row]) -> pa.Table:
+    """Rows as a table whose types do not depend on which values happen to be None."""
+    names = list(rows[0])
+    columns = {}
+    for name in names:
+        values = [row[name] for row in rows]
+        kind = pa.float64() if name in _FLOATS else pa.int64() if name in _INTEGERS else None
+        columns[name] = pa.array(values, kind)
+    return pa.table(columns)
+
+
+def _machine() -> dict[str, Any]:
+    packages = ("jaxq", "jax", "jaxlib", "flax", "optax", "numpy")
+    return {
+        "versions": {name: metadata.version(name) for name in packages} | {"python": platform.python_version()},
+        "cpu": _cpu(),
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+    }
+
+
+def _cpu() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

@@ -1,0 +1,82 @@
+"""Success rules: when a training counts as solved, judged at the end of each episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxq.types import Array
+
+
+@dataclass(frozen=True)
+class Success:
+    """A success rule as pure functions: ``init() -> state``; ``update(state, over, length, limits) -> (state, solved)``.
+
+    ``over`` [] bool says that an episode ended at this step, ``length`` [] int32 how long it was; ``limits`` are the
+    run's numbers. Called once per environment and step; where ``over`` is False the state stays.
+    """
+
+    init: Callable[[], Any]
+    update: Callable[[Any, Array, Array, Any], tuple[Any, Array]]
+
+
+class Window(NamedTuple):
+    """The last episode lengths, in a ring."""
+
+    lengths: Array  # [window] int32, 0 where no episode has been
+    position: Array
+
+
+def streak() -> Success:
+    """Solved once more than ``limits.success_streak`` episodes in a row each ended at 0-based step
+    ``limits.success_steps`` or later, the tutorial's rule for its table.
+
+    streak > success_streak, where an episode of length n counts when n - 1 >= success_steps.
+    """
+
+    def init() -> Array:
+        return jnp.zeros((), jnp.int32)
+
+    def update(count: Array, over: Array, length: Array, limits: Any) -> tuple[Array, Array]:
+        good = length - 1 >= limits.success_steps
+        count = jnp.where(over, jnp.where(good, count + 1, 0), count)
+        return count, count > limits.success_streak
+
+    return Success(init, update)
+
+
+def window_mean(window: int) -> Success:
+    """Solved once the sum of the last up to ``window`` episode lengths, over ``window``, is above
+    ``limits.success_steps``: the tutorial's rule for DQN (50 episodes, 450 steps).
+
+    Raises ValueError when the window is below 1.
+    """
+    if window < 1:
+        raise ValueError(f"window: {window} must be at least 1")
+
+    def init() -> Window:
+        return Window(jnp.zeros((window,), jnp.int32), jnp.zeros((), jnp.int32))
+
+    def update(state: Window, over: Array, length: Array, limits: Any) -> tuple[Window, Array]:
+        here = over & (jnp.arange(window) == state.position)
+        lengths = jnp.where(here, length, state.lengths)
+        position = (state.position + over) % window
+        return Window(lengths, position), jnp.sum(lengths) / window > limits.success_steps
+
+    return Success(init, update)
+
+
+def never() -> Success:
+    """No training is solved before its limits."""
+
+    def init() -> tuple[()]:
+        return ()
+
+    def update(state: tuple[()], over: Array, length: Array, limits: Any) -> tuple[tuple[()], Array]:
+        del over, length, limits
+        return state, jnp.zeros((), bool)
+
+    return Success(init, update)

@@ -1,0 +1,190 @@
+"""Sweeps: a plan's lanes go through the engine into tables, and into a run directory as they come."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from jaxq import lanes as engine
+from jaxq import tables
+from jaxq.lanes import Lane, Progress, Result
+from jaxq.plans import Plan, plan
+from jaxq.programs import hypers, program
+from jaxq.runs import RunDirectory, flatten
+from jaxq.tables import Row
+
+#: Results are written once this many have gathered or this many seconds have passed.
+BATCH_LANES, BATCH_SECONDS = 512, 5.0
+
+
+@dataclass
+class Timing:
+    """Where the time went, and how much was done."""
+
+    compile_s: float = 0.0
+    run_s: float = 0.0
+    env_steps: int = 0
+    updates: int = 0
+    programs: int = 0
+
+    def rows(self) -> Row:
+        """The ``timing`` of the JSON output."""
+        seconds = max(self.run_s, 1e-9)
+        return {
+            "compile_s": round(self.compile_s, 3),
+            "run_s": round(self.run_s, 3),
+            "env_steps_per_s": round(self.env_steps / seconds),
+            "updates_per_s": round(self.updates / seconds),
+            "programs": self.programs,
+        }
+
+
+@dataclass
+class Outcome:
+    """The rows of a sweep. ``complete`` is False when it was stopped before its last lane."""
+
+    plan: Plan
+    lanes: list[Row] = field(default_factory=list)
+    curves: list[Row] = field(default_factory=list)
+    timing: Timing = field(default_factory=Timing)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every lane has a row."""
+        return len(self.lanes) == self.plan.lanes
+
+    def summary(self) -> list[Row]:
+        """One row per setting: see ``tables.summary``."""
+        return tables.summary(self.lanes, self.plan.varied)
+
+
+def run(
+    planned: Plan,
+    *,
+    directory: RunDirectory | None = None,
+    keep_episodes: bool = False,
+    keep_max_q: bool = False,
+    workers: int | None = None,
+    on_compile: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    on_result: Callable[[Result], None] | None = None,
+    stop: threading.Event | None = None,
+) -> Outcome:
+    """Runs all lanes that ``directory`` does not hold yet, writing results there as they come.
+
+    ``on_compile(i, n)`` is called before program i of n is compiled, ``on_result`` for each lane that ends,
+    ``on_progress`` a few times a second. ``stop`` set: what ended is kept and the Outcome is not complete.
+    """
+    stop = stop or threading.Event()
+    outcome = Outcome(planned)
+    if directory is not None:
+        outcome.lanes, outcome.curves = directory.rows("lanes"), directory.rows("curves")
+    have = {(row["config"], row["seed"]) for row in outcome.lanes}
+    sink = _Sink(directory, outcome, keep_episodes)
+    groups = _by_structure(planned, have)
+    overall = Progress(planned.lanes, done=len(have), solved=sum(row["status"] == "solved" for row in outcome.lanes))
+    try:
+        for i, group in enumerate(groups):
+            if stop.is_set():
+                break
+            if on_compile:
+                on_compile(i + 1, len(groups))
+            example = planned.settings[group[0][0]]
+            compiled = engine.compile_program(program(example, planned.prng), hypers(example), planned.prng)
+            outcome.timing.compile_s += compiled.seconds
+            outcome.timing.programs += 1
+            began = time.perf_counter()
+            base = Progress(**vars(overall))
+
+            def report(progress: Progress, base: Progress = base) -> None:
+                for name in ("done", "solved", "diverged", "env_steps", "updates"):
+                    setattr(overall, name, getattr(base, name) + getattr(progress, name))
+                overall.share = base.done + progress.share
+                if on_progress:
+                    on_progress(overall)
+
+            results = engine.run(
+                compiled,
+                _lanes(planned, group),
+                root_seed=planned.root_seed,
+                impl=planned.prng,
+                total=len(group),
+                workers=workers,
+                keep_max_q=keep_max_q,
+                on_progress=report,
+                stop=stop,
+            )
+            for result in results:
+                sink.add(result)
+                if on_result:
+                    on_result(result)
+            outcome.timing.run_s += time.perf_counter() - began
+    finally:
+        sink.flush()
+    outcome.timing.env_steps, outcome.timing.updates = overall.env_steps, overall.updates
+    for rows in (outcome.lanes, outcome.curves):
+        rows.sort(key=lambda row: (row["config"], row["seed"]))
+    return outcome
+
+
+def sweep(name: str, *, seeds: int = 1, root_seed: int = 0, prng: str | None = None, **values: Any) -> Outcome:
+    """Runs a preset over the grid of every value that is a list, times ``seeds`` seeds, and returns its rows.
+
+    ``jaxq.sweep("article-q", gamma=[0.95, 0.99], seeds=32).summary()``. Raises ValueError as ``plan`` does.
+    """
+    return run(plan(name, seeds=seeds, root_seed=root_seed, prng=prng, **values))
+
+
+def _by_structure(planned: Plan, have: set[tuple[int, int]]) -> list[list[tuple[int, int]]]:
+    """The pending (config, seed) pairs of each structure."""
+    groups: dict[Any, list[tuple[int, int]]] = {}
+    for config, settings in enumerate(planned.settings):
+        pending = [(config, seed) for seed in planned.seeds if (config, seed) not in have]
+        if pending:
+            groups.setdefault(settings.structural(), []).extend(pending)
+    return list(groups.values())
+
+
+def _lanes(planned: Plan, group: list[tuple[int, int]]) -> Iterator[Lane]:
+    numbers: dict[int, Any] = {}
+    for config, seed in group:
+        if config not in numbers:
+            numbers[config] = hypers(planned.settings[config])
+        yield Lane(config, seed, numbers[config])
+
+
+class _Sink:
+    """Turns results into rows and writes them in batches."""
+
+    def __init__(self, directory: RunDirectory | None, outcome: Outcome, keep_episodes: bool):
+        self.directory, self.outcome, self.keep_episodes = directory, outcome, keep_episodes
+        self._clear()
+
+    def _clear(self) -> None:
+        self.lanes: list[Row] = []
+        self.curves: list[Row] = []
+        self.episodes: list[Row] = []
+        self.policies: dict[tuple[int, int], Mapping[str, Any]] = {}
+        self.since = time.monotonic()
+
+    def add(self, result: Result) -> None:
+        settings = self.outcome.plan.settings[result.lane.config]
+        self.lanes.append(tables.lane_row(result, settings))
+        self.curves += tables.curve_rows(result)
+        if self.keep_episodes:
+            self.episodes += tables.episode_rows(result)
+        named = {name or "table": array for name, array in flatten(result.policy).items()}
+        self.policies[result.lane.config, result.lane.seed] = named
+        if len(self.lanes) >= BATCH_LANES or time.monotonic() - self.since > BATCH_SECONDS:
+            self.flush()
+
+    def flush(self) -> None:
+        if self.lanes:
+            if self.directory is not None:
+                self.directory.write(self.lanes, self.curves, dict(self.policies), self.episodes)
+            self.outcome.lanes += self.lanes
+            self.outcome.curves += self.curves
+        self._clear()
