@@ -21,11 +21,22 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_MODULES = ("agents", "envs", "experiment", "lanes", "networks", "optimisers", "policies", "presets", "prng", "programs")
+_MODULES: tuple[str, ...] = (
+    "agents",
+    "envs",
+    "experiment",
+    "lanes",
+    "networks",
+    "optimisers",
+    "policies",
+    "presets",
+    "prng",
+    "programs",
+)
 _MODULES += ("replay", "rules", "schedules", "stats", "success", "types")
 _NAMES = {"Outcome": "sweeps", "Plan": "plans", "plan": "plans", "sweep": "sweeps"}
 
-__all__ = [*_MODULES, *_NAMES]  # noqa: PLE0604
+__all__ = [*_MODULES, *_NAMES]
 
 
 def __getattr__(name: str) -> Any:

@@ -13,33 +13,15 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn, get_origin
+from typing import Any
 
-from pydantic.fields import FieldInfo
-
-from jaxq import __version__, cpu
+from jaxq import cpu, flags
+from jaxq.flags import COMMANDS, UsageError
 from jaxq.plans import plan
 from jaxq.presets import Preset, Settings, preset, presets
 from jaxq.suggest import nearest
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_INTERRUPTED = 0, 1, 2, 75, 130
-
-_COMMANDS = {
-    "sweep": "train a preset over settings and seeds, many lanes at once",
-    "train": "train one lane, with its episodes and pictures",
-    "list": "list the presets and environments",
-}
-
-
-class UsageError(Exception):
-    """A user's mistake, in one line."""
-
-
-class _Parser(argparse.ArgumentParser):
-    """argparse with one-line errors and suggestions."""
-
-    def error(self, message: str) -> NoReturn:
-        raise UsageError(message)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -59,108 +41,22 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _dispatch(arguments: list[str]) -> int:
     if not arguments or arguments[0].startswith("-"):
-        _overview().parse_args(arguments or ["--help"])
+        flags.overview().parse_args(arguments or ["--help"])
         return EXIT_OK
     command, rest = arguments[0], arguments[1:]
     if command == "list":
-        _Parser(prog="jaxq list", description=_COMMANDS["list"]).parse_args(rest)
+        flags.Parser(prog="jaxq list", description=COMMANDS["list"]).parse_args(rest)
         return _list()
-    if command not in _COMMANDS:
-        raise UsageError(f"command {command!r} is unknown{nearest(command, _COMMANDS)}")
+    if command not in COMMANDS:
+        raise UsageError(f"command {command!r} is unknown{nearest(command, COMMANDS)}")
     if not rest or rest[0].startswith("-"):
-        _preset_overview(command).parse_args(rest or ["--help"])
+        flags.preset_overview(command).parse_args(rest or ["--help"])
         return EXIT_USAGE if not rest else EXIT_OK
     try:
         chosen = preset(rest[0])
     except ValueError as error:
         raise UsageError(str(error)) from None
-    parser = _parser(command, chosen)
-    options, unknown = parser.parse_known_args(rest[1:])
-    if unknown:
-        known = [flag for action in parser._actions for flag in action.option_strings]
-        stray = next((word for word in unknown if word.startswith("-")), unknown[0])
-        raise UsageError(f"{stray} is unknown to jaxq {command} {chosen.name}{nearest(stray.split('=')[0], known)}")
-    return _run(command, chosen, options)
-
-
-def _overview() -> argparse.ArgumentParser:
-    lines = "\n".join(f"  {name:8}{help}" for name, help in _COMMANDS.items())
-    parser = _Parser(
-        prog="jaxq",
-        usage="jaxq COMMAND ...",
-        description=f"Value-based reinforcement learning, thousands of small trainings at once.\n\ncommands:\n{lines}",
-        epilog="jaxq COMMAND --help says more; for example: jaxq sweep article-q --seeds 100",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.add_argument("--version", action="version", version=f"jaxq {__version__}")
-    return parser
-
-
-def _preset_overview(command: str) -> argparse.ArgumentParser:
-    lines = "\n".join(f"  {p.name:14}{p.summary}" for p in presets())
-    return _Parser(
-        prog=f"jaxq {command}",
-        usage=f"jaxq {command} PRESET [options]",
-        description=f"{_COMMANDS[command].capitalize()}.\n\npresets:\n{lines}",
-        epilog=f"jaxq {command} PRESET --help lists every hyperparameter",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-
-
-def _parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
-    several = command == "sweep"
-    parser = _Parser(
-        prog=f"jaxq {command} {chosen.name}",
-        description=f"{chosen.summary.capitalize()}."
-        + (" Several values after a flag make an axis; the sweep is the product of all axes." if several else ""),
-        allow_abbrev=False,
-    )
-    run = parser.add_argument_group("run")
-    if several:
-        run.add_argument("--seeds", type=int, default=10, help="seeds of each setting (default 10)", metavar="N")
-        run.add_argument("--episodes", action="store_true", help="keep a row of every training episode as well")
-    run.add_argument("--seed", type=int, default=0, help="root of all randomness (default 0)", metavar="N")
-    run.add_argument("--prng", default=None, help=f"key family (default {chosen.prng})", metavar="NAME")
-    run.add_argument("--out", type=Path, default=None, help="run directory (default runs/<preset>-<hash>)", metavar="DIR")
-    run.add_argument("--resume", action="store_true", help="finish the sweep that the run directory holds")
-    run.add_argument("--overwrite", action="store_true", help="replace the run directory")
-    run.add_argument("--dry-run", action="store_true", help="say what would run, and stop")
-    run.add_argument("--json", action="store_true", help="print one JSON object: lanes, summary, timing")
-    run.add_argument("--quiet", action="store_true", help="no progress and no talk")
-    run.add_argument("--no-progress", action="store_true", help="no progress bar")
-    run.add_argument("--verbose", action="store_true", help="a line per lane, or per episode of a train")
-    run.add_argument("--workers", type=int, default=None, help="cores to use (default all)", metavar="N")
-    for title, wanted in (("hyperparameters", False), ("structure (each combination is compiled once)", True)):
-        group = parser.add_argument_group(title)
-        for name, info in type(chosen.settings).model_fields.items():
-            if chosen.settings.is_structure(name) is wanted:
-                _add_flag(group, name, info, getattr(chosen.settings, name), several)
-    return parser
-
-
-def _add_flag(group: Any, name: str, info: FieldInfo, default: Any, several: bool) -> None:
-    shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
-    text = f"{info.description} (default {shown})".replace("%", "%%")
-    flag = f"--{name.replace('_', '-')}"
-    metavar = "true|false" if info.annotation is bool else "VALUE"
-    if several:
-        group.add_argument(flag, nargs="+", default=None, help=text, metavar=metavar, dest=f"set_{name}")
-    else:
-        group.add_argument(flag, default=None, help=text, metavar=metavar, dest=f"set_{name}")
-
-
-def _values(chosen: Preset, options: argparse.Namespace) -> dict[str, Any]:
-    """The settings that were given, each a list of what the preset's model reads."""
-    given = {}
-    for name, info in type(chosen.settings).model_fields.items():
-        raw = getattr(options, f"set_{name}")
-        if raw is not None:
-            words = raw if isinstance(raw, list) else [raw]
-            is_tuple = get_origin(info.annotation) is tuple
-            given[name] = [tuple(word.split(",")) if is_tuple else word for word in words]
-    return given
+    return _run(command, chosen, flags.parse(command, chosen, rest[1:]))
 
 
 def _list() -> int:
@@ -186,7 +82,7 @@ def _run(command: str, chosen: Preset, options: argparse.Namespace) -> int:
             seeds=options.seeds if command == "sweep" else 1,
             root_seed=options.seed,
             prng=options.prng,
-            **_values(chosen, options),
+            **flags.given_values(chosen, options),
         )
     except ValueError as error:
         raise UsageError(str(error)) from None

@@ -6,8 +6,9 @@ import os
 import sys
 
 #: XLA compiles a loop whose buffers are smaller than this into one function, with no dispatch between its operations.
-#: Its own limit is 1 KiB; a group of table learners is some hundred KiB.
-SMALL_LOOP_BYTES = 8 * 2**20
+#: Its own limit is 1 KiB; a group of table learners is some 30 KiB. Loops with networks in them must stay above it:
+#: inside such a function a matrix product is a plain loop.
+SMALL_LOOP_BYTES = 2**16
 
 FLAGS = (
     # One group of lanes is one core's work: a product shared out among threads would wait for the other groups.

@@ -19,7 +19,11 @@ import jax.numpy as jnp
 from jaxq import policies, prng
 from jaxq.envs.auto_reset import auto_reset
 from jaxq.success import Success
-from jaxq.types import Agent, Array, Clock, Env, Experiment, Hypers, Key, Step, Transition
+from jaxq.types import Agent, Array, Clock, Env, Experiment, Hypers, Key, Scalar, Step, Transition
+
+#: A segment is a loop over loops of at most this many rounds. XLA compiles a loop of few bytes into one function (see
+#: ``cpu``), and the rows logged in it count.
+INNER_ROUNDS = 100
 
 #: Why a lane stands still; 0 while it runs.
 RUNNING, SOLVED, FINISHED, DIVERGED = range(4)
@@ -28,10 +32,10 @@ RUNNING, SOLVED, FINISHED, DIVERGED = range(4)
 class Limits(NamedTuple):
     """The numbers of a run: where it ends, and what counts as success."""
 
-    max_episodes: Array
-    max_env_steps: Array
-    success_steps: Array
-    success_streak: Array
+    max_episodes: Scalar
+    max_env_steps: Scalar
+    success_steps: Scalar
+    success_streak: Scalar
 
 
 class LaneState(NamedTuple):
@@ -75,8 +79,8 @@ def experiment(
 
     One segment is ``rounds`` rounds of ``steps_per_round`` steps of ``num_envs`` environments and one update. Before
     the first round the agent acts, without learning, until ``warm_up_steps`` transitions less one round are stored, so
-    that the first update sees at least ``warm_up_steps``. ``hypers.run`` is a Limits; ``impl`` is the family of the keys. Raises ValueError for a count
-    below 1 (``warm_up_steps`` below 0).
+    that the first update sees at least ``warm_up_steps``. ``hypers.run`` is a Limits; ``impl`` is the family of the
+    keys. Raises ValueError for a count below 1 (``warm_up_steps`` below 0).
     """
     counts = {"rounds": rounds, "num_envs": num_envs, "steps_per_round": steps_per_round}
     counts |= {"eval_episodes": eval_episodes, "eval_steps": eval_steps, "warm_up_steps": warm_up_steps + 1}
@@ -91,24 +95,24 @@ def experiment(
 
     def init(key: Key, hypers: Hypers) -> tuple[LaneState, Log]:
         env, agent = make(hypers)
-        words = jax.random.key_data(key)
+        words, zero = jax.random.key_data(key), jnp.zeros((), jnp.int32)
         streams = _streams(words, impl)
         env_state = jax.vmap(env.reset)(jax.random.split(streams.reset, num_envs))
         state = LaneState(
             key_words=words,
-            round=jnp.zeros((), jnp.int32),
+            round=zero,
             env=env_state,
             length=jnp.zeros((num_envs,), jnp.int32),
             total=jnp.zeros((num_envs,), jnp.float32),
             agent=agent.init(streams.agent, _example(env, env_state)),
             success=success.init(),
-            clock=Clock(*(jnp.zeros((), jnp.int32) for _ in range(3)), live=jnp.ones((), jnp.float32)),
-            status=jnp.zeros((), jnp.int32),
+            clock=Clock(zero, zero, zero, live=jnp.ones((), jnp.float32)),
+            status=zero,
         )
         if warm_up == 0:
             empty = jnp.zeros((0, 1, num_envs))
-            none = (empty.astype(bool), empty, jnp.zeros((0,)), jnp.zeros((0,)))
-            return state, Log(*none, epsilon=agent.exploration(state.clock))
+            none = jnp.zeros((0,))
+            return state, Log(empty.astype(bool), empty, none, none, agent.exploration(state.clock))
 
         def body(state: LaneState, _: None) -> tuple[LaneState, tuple[Array, ...]]:
             state, experience, solved, (over, total) = _rollout(env, agent, success, streams, state, hypers.run, 1)
@@ -116,8 +120,8 @@ def experiment(
             nan = jnp.full((), jnp.nan)
             return _judge(state, solved, jnp.zeros((), bool), hypers.run), (over, total, nan, nan)
 
-        state, rows = jax.lax.scan(body, state, length=warm_up)
-        return state, Log(*rows, epsilon=agent.exploration(state.clock))
+        state, (over, total, max_q, loss) = jax.lax.scan(body, state, length=warm_up)
+        return state, Log(over, total, max_q, loss, agent.exploration(state.clock))
 
     def advance(state: LaneState, hypers: Hypers) -> tuple[LaneState, Log]:
         env, agent = make(hypers)
@@ -136,8 +140,10 @@ def experiment(
             state = _judge(state, solved, diverged, hypers.run)
             return state, (over, total, metrics.max_q.astype(jnp.float32), metrics.loss.astype(jnp.float32))
 
-        state, rows = jax.lax.scan(body, state, length=rounds)
-        return state, Log(*rows, epsilon=agent.exploration(state.clock))
+        inner = max(n for n in range(1, INNER_ROUNDS + 1) if rounds % n == 0)
+        state, rows = jax.lax.scan(lambda s, _: jax.lax.scan(body, s, length=inner), state, length=rounds // inner)
+        over, total, max_q, loss = (leaf.reshape(rounds, *leaf.shape[2:]) for leaf in rows)
+        return state, Log(over, total, max_q, loss, agent.exploration(state.clock))
 
     def evaluate(key: Key, policy: Any, hypers: Hypers) -> Array:
         env = make_env(hypers.env)
@@ -151,9 +157,7 @@ def experiment(
     return Experiment(init, advance, evaluate, policy)
 
 
-def greedy_returns(
-    key: Key, env: Env, q_values: Callable[[Any], Array], episodes: int, max_steps: int
-) -> Array:
+def greedy_returns(key: Key, env: Env, q_values: Callable[[Any], Array], episodes: int, max_steps: int) -> Array:
     """Returns of whole episodes under the greedy policy, each from its own reset and at most ``max_steps`` long.
 
     Shapes: -> [episodes] float32. The start states depend on the key alone, so settings that share a key are compared

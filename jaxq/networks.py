@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import flax.linen as nn
 import jax
@@ -50,7 +51,7 @@ class MLP(nn.Module):
     hidden: tuple[int, ...] = (128, 128)
     num_outputs: int = 2
 
-    @nn.compact
+    @nn.compact  # type: ignore[untyped-decorator]
     def __call__(self, obs: Array) -> Array:
         x = jnp.ravel(obs)
         x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
@@ -68,7 +69,7 @@ class Linear(nn.Module):
 
     num_outputs: int
 
-    @nn.compact
+    @nn.compact  # type: ignore[untyped-decorator]
     def __call__(self, x: Array) -> Array:
         num_inputs = x.shape[-1]
         bound = num_inputs**-0.5
@@ -99,9 +100,9 @@ def _kernel_gradient(g: Array, x: Array, kernel: Array) -> Array:
     return jax.lax.optimization_barrier(x.T) @ g
 
 
-def _product_batching(operands, axes):
+def _product_batching(operands: Sequence[Array], axes: Sequence[Any]) -> tuple[Array, int]:
     (x, kernel), (x_axis, kernel_axis) = operands, axes
-    if kernel_axis is not None:  # a vmap over lanes
+    if kernel_axis is not None or x_axis is None:  # a vmap over lanes
         return jax.vmap(jnp.matmul, (x_axis, kernel_axis))(x, kernel), 0
     x = jnp.moveaxis(x, x_axis, 0)
     out = _product(x.reshape(-1, x.shape[-1]), kernel)

@@ -57,9 +57,7 @@ class Plan:
         return f"{self.preset.name}-{self.hash()[:8]}"
 
 
-def plan(
-    name: str, *, seeds: int = 1, root_seed: int = 0, prng: str | None = None, **values: Any
-) -> Plan:
+def plan(name: str, *, seeds: int = 1, root_seed: int = 0, prng: str | None = None, **values: Any) -> Plan:
     """The grid over every value that is a list: its product, the last axis fastest.
 
     Raises ValueError that names the field, the value and what is allowed.
@@ -76,9 +74,7 @@ def plan(
     for axis, points in axes.items():
         if not points:
             raise ValueError(f"{axis}: [] is not allowed: at least one value")
-    settings = tuple(
-        settle(base, **dict(zip(axes, point, strict=True))) for point in itertools.product(*axes.values())
-    )
+    settings = tuple(settle(base, **dict(zip(axes, point, strict=True))) for point in itertools.product(*axes.values()))
     for one in settings:
         if settings.count(one) > 1:
             raise ValueError(f"{', '.join(axes)}: a value stands twice")

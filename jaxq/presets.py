@@ -20,12 +20,12 @@ NO_LIMIT = 2**31 - 1
 Probability = {"ge": 0.0, "le": 1.0}
 
 
-def number(default: Any, help: str, **allowed: float) -> Any:
+def number(default: Any, help: str, **allowed: Any) -> Any:
     """A field that is traced."""
     return Field(default, description=help, json_schema_extra={"structure": False}, **allowed)
 
 
-def structure(default: Any, help: str, **allowed: float) -> Any:
+def structure(default: Any, help: str, **allowed: Any) -> Any:
     """A field that shapes the program."""
     return Field(default, description=help, json_schema_extra={"structure": True}, **allowed)
 
@@ -81,7 +81,9 @@ class DQNSettings(Settings):
     """Deep Q-learning on CartPole."""
 
     learning_rate: float = number(1e-4, "step size of the optimiser at the first update", gt=0)
-    learning_rate_end: float | None = number(None, "step size at max_env_steps, linear between; the same if unset", ge=0)
+    learning_rate_end: float | None = number(
+        None, "step size at max_env_steps, linear between; the same if unset", ge=0
+    )
     gamma: float = number(0.99, "discount", **Probability)
     tau: float = number(0.005, "share of the online network that a target update takes", **Probability)
     target_period: int = number(1, "updates between two target updates", ge=1, le=NO_LIMIT)
@@ -112,7 +114,9 @@ class DQNSettings(Settings):
         if not all(1 <= units <= 2**16 for units in self.hidden):
             raise ValueError(f"hidden: {self.hidden} must each be from 1 to {2**16}")
         if self.learning_starts > self.buffer_size:
-            raise ValueError(f"learning_starts: {self.learning_starts} must not be above buffer_size ({self.buffer_size})")
+            raise ValueError(
+                f"learning_starts: {self.learning_starts} must not be above buffer_size ({self.buffer_size})"
+            )
         if not self.replacement and self.batch_size > self.learning_starts:
             raise ValueError(
                 f"batch_size: {self.batch_size} must not be above learning_starts ({self.learning_starts})"
@@ -137,7 +141,9 @@ class Preset:
 
 
 _PRESETS = (
-    Preset("article-q", "the tutorial's table, at its own settings and semantics", TabularSettings(bootstrap_terminal=True)),
+    Preset(
+        "article-q", "the tutorial's table, at its own settings and semantics", TabularSettings(bootstrap_terminal=True)
+    ),
     Preset("q-learning", "the same, with no bootstrap after a termination", TabularSettings()),
     Preset("article-dqn", "the tutorial's DQN, at its own settings", DQNSettings()),
     Preset(
@@ -180,7 +186,10 @@ def preset(name: str) -> Preset:
 
 
 def settle(base: Preset, **overrides: Any) -> Settings:
-    """The preset's settings with some replaced. Raises ValueError that names the field, the value and what is allowed."""
+    """The preset's settings with some replaced.
+
+    Raises ValueError that names the field, the value and what is allowed.
+    """
     kind = type(base.settings)
     for name in overrides:
         if name not in kind.model_fields:

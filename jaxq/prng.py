@@ -73,14 +73,14 @@ _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _PARITY = np.uint32(0x1BD11BDA)
 
 
-def threefry2x32(k0: Array, k1: Array, x0: Word, x1: Array) -> Words:
+def threefry2x32(k0: Array, k1: Array, x0: Word, x1: Word) -> Words:
     """Threefry-2x32 with 20 rounds: the counter (x0, x1) enciphered under the key (k0, k1).
 
     A round is x0 += x1; x1 = (x1 rotated left by r) xor x0; after every fourth a part of the key is added. Shapes: all
     uint32, broadcast together. Salmon et al., *Parallel random numbers: as easy as 1, 2, 3*, SC 2011.
     """
     schedule = (k0, k1, k0 ^ k1 ^ _PARITY)
-    x0, x1 = x0 + k0, x1 + k1
+    x0, x1 = k0 + x0, k1 + x1
     for group in range(5):  # unrolled while tracing: a lax loop here is what stops XLA from fusing JAX's own
         for r in _ROTATIONS[group % 2]:
             x0 = x0 + x1
@@ -102,10 +102,13 @@ def _threefry_fold_in(key: Array, data: Array) -> Array:
 
 def _threefry_split(key: Array, shape: Shape) -> Array:
     """Children of a key: both words of the enciphered index. Shapes: [2] -> [*shape, 2]."""
+    size = math.prod(shape)
     if not _counts_as_jax(shape):
         return threefry_prng_impl.split(key, shape)
-    words = threefry2x32(key[0], key[1], np.uint32(0), _iota(math.prod(shape)))
-    return jnp.stack(words, axis=-1).reshape(*shape, 2)
+    if 0 < size <= 4:  # few children: each alone, so that under vmap the arithmetic runs along the lanes
+        pairs = (threefry2x32(key[0], key[1], np.uint32(0), np.uint32(i)) for i in range(size))
+        return jnp.stack([word for pair in pairs for word in pair]).reshape(*shape, 2)
+    return jnp.stack(threefry2x32(key[0], key[1], np.uint32(0), _iota(size)), axis=-1).reshape(*shape, 2)
 
 
 def _threefry_bits(key: Array, bit_width: int, shape: Shape) -> Array:
@@ -153,8 +156,8 @@ def _cross(x: Array, y: Array, z: Array, w: Array) -> Words:
 
 
 def _hash(k0: Array, k1: Array, data: Word, operation: np.uint32) -> Words:
-    """Two passes. After one, high input bits have not reached the low output bits, and draws of one key from
-    consecutive counters show it too: one pass fails every one of the tests of derivation and of draws."""
+    """Two passes. After one, high input bits have not reached the low output bits, and single bits follow a pattern
+    over the consecutive counters of one draw: a draw costs little more with two, so there is no exception to two."""
     return pcg4d(*pcg4d(k0, k1, data, operation))
 
 

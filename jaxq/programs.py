@@ -60,8 +60,8 @@ def _(settings: TabularSettings, impl: str) -> Program:
             bootstrap_terminal=settings.bootstrap_terminal,
         )
 
-    made = experiment(make_env, make_agent, success=success.streak(), rounds=4000, impl=impl)
-    return Program(made, width=64, steps_per_round=1, num_envs=1)
+    made = experiment(make_env, make_agent, success=success.streak(), rounds=2000, impl=impl)
+    return Program(made, width=16, steps_per_round=1, num_envs=1)
 
 
 @hypers.register
@@ -107,7 +107,7 @@ def _(settings: DQNSettings, impl: str) -> Program:
         warm_up_steps=settings.learning_starts,
         impl=impl,
     )
-    return Program(made, width=8, steps_per_round=settings.steps_per_update, num_envs=settings.num_envs)
+    return Program(made, width=4, steps_per_round=settings.steps_per_update, num_envs=settings.num_envs)
 
 
 @hypers.register

@@ -35,8 +35,8 @@ class Display:
 
     def __enter__(self) -> Display:
         self.bar.start()
-        fields = {"done": 0, "lanes": self.plan.lanes, "solved": 0, "speed": ""}
-        self.task = self.bar.add_task(self.plan.preset.name, total=self.plan.lanes, **fields)
+        lanes = self.plan.lanes
+        self.task = self.bar.add_task(self.plan.preset.name, total=lanes, done=0, lanes=lanes, solved=0, speed="")
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -97,7 +97,7 @@ def n_step_return(r_t: Array, discount_t: Array, v_t: Array) -> Array:
     2.5
     """
 
-    def back(value, step):
+    def back(value: Array, step: tuple[Array, Array]) -> tuple[Array, None]:
         reward, discount = step
         return reward + discount * value, None
 

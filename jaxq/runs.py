@@ -26,8 +26,21 @@ from jaxq.plans import Plan
 from jaxq.tables import Row
 
 FORMAT = 1
-_FLOATS = {"train_return", "eval_return", "final_return", "loss", "max_q", "epsilon", "return", "learning_rate_end"}
-_INTEGERS = {"solved_at_episode", "solved_at_step", "diverged_at_step", "stopped_at_rung"}
+#: Columns of each table that may be all None in a batch, and so must be told their type.
+_COUNT, _REAL = pa.int64(), pa.float64()
+_TYPES = {
+    "lanes": {
+        "learning_rate_end": _REAL,
+        "solved_at_episode": _COUNT,
+        "solved_at_step": _COUNT,
+        "diverged_at_step": _COUNT,
+        "stopped_at_rung": _COUNT,
+        "final_return": _REAL,
+        "eval_return": _REAL,
+    },
+    "curves": dict.fromkeys(("train_return", "eval_return", "loss", "max_q", "epsilon"), _REAL),
+    "episodes": dict.fromkeys(("return", "max_q"), _REAL),
+}
 
 
 class RunError(Exception):
@@ -106,7 +119,7 @@ class RunDirectory:
         for kind, rows in (("curves", curves), ("episodes", episodes), ("lanes", lanes)):
             if rows:
                 sink = pa.BufferOutputStream()
-                pq.write_table(_table(rows), sink, write_page_checksum=True, compression="zstd")
+                pq.write_table(_table(kind, rows), sink, write_page_checksum=True, compression="zstd")
                 data = sink.getvalue().to_pybytes()
                 name = f"{number:05d}-{kind}.parquet"
                 self._replace(f"parts/{name}", data)
@@ -161,15 +174,10 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def _table(rows: Sequence[Row]) -> pa.Table:
+def _table(kind: str, rows: Sequence[Row]) -> pa.Table:
     """Rows as a table whose types do not depend on which values happen to be None."""
-    names = list(rows[0])
-    columns = {}
-    for name in names:
-        values = [row[name] for row in rows]
-        kind = pa.float64() if name in _FLOATS else pa.int64() if name in _INTEGERS else None
-        columns[name] = pa.array(values, kind)
-    return pa.table(columns)
+    types = _TYPES[kind]
+    return pa.table({name: pa.array([row[name] for row in rows], types.get(name)) for name in rows[0]})
 
 
 def _machine() -> dict[str, Any]:

@@ -13,7 +13,7 @@ from jaxq.types import Array
 
 @dataclass(frozen=True)
 class Success:
-    """A success rule as pure functions: ``init() -> state``; ``update(state, over, length, limits) -> (state, solved)``.
+    """A success rule as pure functions: ``init() -> state``; ``update(state, over, length, limits) -> state, solved``.
 
     ``over`` [] bool says that an episode ended at this step, ``length`` [] int32 how long it was; ``limits`` are the
     run's numbers. Called once per environment and step; where ``over`` is False the state stays.

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from jaxq import executables, tables
 from jaxq import lanes as engine
-from jaxq import tables
-from jaxq.lanes import Lane, Progress, Result
+from jaxq.lanes import Progress
 from jaxq.plans import Plan, plan
 from jaxq.programs import hypers, program
 from jaxq.runs import RunDirectory, flatten
 from jaxq.tables import Row
+from jaxq.tally import Lane, Result
 
 #: Results are written once this many have gathered or this many seconds have passed.
 BATCH_LANES, BATCH_SECONDS = 512, 5.0
@@ -75,7 +76,7 @@ def run(
 ) -> Outcome:
     """Runs all lanes that ``directory`` does not hold yet, writing results there as they come.
 
-    ``on_compile(i, n)`` is called before program i of n is compiled, ``on_result`` for each lane that ends,
+    ``on_compile(i, n)`` is called before program i of n is built, ``on_result`` for each lane that ends,
     ``on_progress`` a few times a second. ``stop`` set: what ended is kept and the Outcome is not complete.
     """
     stop = stop or threading.Event()
@@ -93,8 +94,8 @@ def run(
             if on_compile:
                 on_compile(i + 1, len(groups))
             example = planned.settings[group[0][0]]
-            compiled = engine.compile_program(program(example, planned.prng), hypers(example), planned.prng)
-            outcome.timing.compile_s += compiled.seconds
+            built = executables.build(program(example, planned.prng), hypers(example), planned.prng)
+            outcome.timing.compile_s += built.seconds
             outcome.timing.programs += 1
             began = time.perf_counter()
             base = Progress(**vars(overall))
@@ -107,7 +108,7 @@ def run(
                     on_progress(overall)
 
             results = engine.run(
-                compiled,
+                built,
                 _lanes(planned, group),
                 root_seed=planned.root_seed,
                 impl=planned.prng,
@@ -167,7 +168,7 @@ class _Sink:
         self.lanes: list[Row] = []
         self.curves: list[Row] = []
         self.episodes: list[Row] = []
-        self.policies: dict[tuple[int, int], Mapping[str, Any]] = {}
+        self.policies: dict[tuple[int, int], dict[str, Any]] = {}
         self.since = time.monotonic()
 
     def add(self, result: Result) -> None:
@@ -184,7 +185,7 @@ class _Sink:
     def flush(self) -> None:
         if self.lanes:
             if self.directory is not None:
-                self.directory.write(self.lanes, self.curves, dict(self.policies), self.episodes)
+                self.directory.write(self.lanes, self.curves, self.policies, self.episodes)
             self.outcome.lanes += self.lanes
             self.outcome.curves += self.curves
         self._clear()

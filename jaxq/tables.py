@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from jaxq import stats
-from jaxq.lanes import Result
 from jaxq.presets import Settings
+from jaxq.tally import Result
 
 Row = dict[str, Any]
 

@@ -22,9 +22,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 
 Array = jax.Array
 Key = jax.Array
+Scalar = jax.Array | np.ndarray | float  # a number that may be a tracer
 PyTree = Any
 
 

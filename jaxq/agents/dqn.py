@@ -23,8 +23,9 @@ from jaxq.types import Agent, Array, Clock, Key, Metrics, PyTree, Transition
 class DQNHypers(NamedTuple):
     """The numbers of a DQN, all [], all may be traced.
 
-    The learning rate goes in a straight line to ``learning_rate_end`` over ``anneal_updates`` updates. Epsilon goes from
-    start to end; ``epsilon_decay`` is the scale of the exponential or the horizon of the line, in environment steps.
+    The learning rate goes in a straight line to ``learning_rate_end`` over ``anneal_updates`` updates. Epsilon goes
+    from start to end; ``epsilon_decay`` is the scale of the exponential or the horizon of the line, in environment
+    steps.
     The target moves by ``tau`` every ``target_period`` updates: soft with a small tau and period 1, hard with tau 1.
     """
 
@@ -151,10 +152,12 @@ def dqn(
             raise ValueError(f"the network must return one value per action, shape ({num_actions},), got {shape}")
         return DQNState(online, online, make_optimiser(hypers.learning_rate).init(online), memory.init(example))
 
-    def act(key: Key, state: DQNState, obs: PyTree, clock: Clock) -> Array:
+    def exploration(clock: Clock) -> Array:
         schedule = schedules.exponential if epsilon_schedule == "exponential" else schedules.linear
-        epsilon = schedule(clock.env_steps, hypers.epsilon_start, hypers.epsilon_end, hypers.epsilon_decay)
-        return policies.epsilon_greedy(key, network.apply(state.online, obs), epsilon)
+        return schedule(clock.env_steps, hypers.epsilon_start, hypers.epsilon_end, hypers.epsilon_decay)
+
+    def act(key: Key, state: DQNState, obs: PyTree, clock: Clock) -> Array:
+        return policies.epsilon_greedy(key, network.apply(state.online, obs), exploration(clock))
 
     def observe(state: DQNState, experience: Transition) -> DQNState:
         transitions = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), experience)
@@ -184,6 +187,7 @@ def dqn(
     return Agent(
         init=init,
         act=act,
+        exploration=exploration,
         update=learn,
         observe=observe,
         policy=lambda state: state.online,

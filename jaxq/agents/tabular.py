@@ -83,7 +83,7 @@ def tabular(
                 one = Transition(*(leaf[t, n] for leaf in experience))
                 table, measured = learn(table, step_size, one)
                 metrics.append(measured)
-        return TabularState(table), Metrics(sum(m.loss for m in metrics) / len(metrics), metrics[-1].max_q)
+        return TabularState(table), Metrics(jnp.mean(jnp.stack([m.loss for m in metrics])), metrics[-1].max_q)
 
     def observe(state: TabularState, experience: Transition) -> TabularState:
         del experience

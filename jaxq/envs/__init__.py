@@ -41,7 +41,7 @@ def make(name: str, **settings: Any) -> Env:
     if name not in _REGISTRY:
         raise ValueError(f"environment: {name!r} is unknown{nearest(name, names())}")
     factory, params_type = _REGISTRY[name]
-    options = {k for k in factory.__kwdefaults__ or {}}
+    options = set(factory.__kwdefaults__ or {})
     unknown = [k for k in settings if k not in params_type._fields and k not in options]
     if unknown:
         raise TypeError(f"{name}: no setting {unknown[0]!r}{nearest(unknown[0], [*params_type._fields, *options])}")

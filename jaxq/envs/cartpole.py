@@ -36,6 +36,9 @@ class CartPoleParams(NamedTuple):
     reset_high: Array | float = 0.05
 
 
+_REALS = tuple(name for name in CartPoleParams._fields if name != "max_episode_steps")
+
+
 class CartPoleState(NamedTuple):
     """Where the cart (m, m/s) and the pole (rad, rad/s) are, and the steps taken in this episode."""
 
@@ -69,13 +72,12 @@ def cartpole(
         raise ValueError(f"integrator: {integrator!r} is not one of {', '.join(INTEGRATORS)}")
     dtype = _float_dtype("dtype", dtype)
     obs_dtype = _float_dtype("obs_dtype", obs_dtype)
-    p = CartPoleParams(*(jnp.asarray(value, dtype) for value in params[:8]), *params[8:])
+    p = params._replace(**{name: jnp.asarray(getattr(params, name), dtype) for name in _REALS})
     total_mass = p.masspole + p.masscart
     polemass_length = p.masspole * p.length
 
     def reset(key: Key) -> CartPoleState:
-        low, high = jnp.asarray(p.reset_low, dtype), jnp.asarray(p.reset_high, dtype)
-        start = jax.random.uniform(key, (4,), dtype, low, high)
+        start = jax.random.uniform(key, (4,), dtype, p.reset_low, p.reset_high)
         return CartPoleState(start[0], start[1], start[2], start[3], jnp.zeros((), jnp.int32))
 
     def observe(state: CartPoleState) -> Array:
@@ -121,6 +123,6 @@ def _float_dtype(name: str, dtype: DTypeLike) -> jnp.dtype:
     dtype = jnp.dtype(dtype)
     if dtype not in (jnp.float32, jnp.float64):
         raise ValueError(f"{name}: {dtype} is not one of float32, float64")
-    if dtype == jnp.float64 and not jax.config.jax_enable_x64:
+    if dtype == jnp.float64 and not jax.config.read("jax_enable_x64"):
         raise ValueError(f'{name}: float64 needs jax.config.update("jax_enable_x64", True) first')
     return dtype

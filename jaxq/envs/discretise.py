@@ -17,6 +17,8 @@ import numpy as np
 
 from jaxq.types import Array, Env, Key, Step
 
+Bound = float | np.float32
+
 
 def discretise(env: Env, edges: Sequence[Array]) -> Env:
     """``env`` with observations replaced by one integer, the flat index (C order) of the bucket.
@@ -47,7 +49,7 @@ def discretise(env: Env, edges: Sequence[Array]) -> Env:
     return Env(env.reset, step, observe, env.num_actions, (), num_states=int(np.prod(counts)))
 
 
-def tutorial_bucket(value: np.ndarray, low: float, high: float, count: int) -> np.ndarray:
+def tutorial_bucket(value: np.ndarray, low: Bound, high: Bound, count: int) -> np.ndarray:
     """The tutorial's bucket of float32 values: clamped ends, half-to-even rounding on a linear scale inside.
 
     b = 0 if s <= low; count - 1 if s >= high; else round((count - 1) / w * s - (count - 1) low / w) with
@@ -61,8 +63,8 @@ def tutorial_bucket(value: np.ndarray, low: float, high: float, count: int) -> n
     return np.where(value <= np.float32(low), 0, np.where(value >= np.float32(high), count - 1, inside)).astype(int)
 
 
-def tutorial_edges(low: Sequence[float], high: Sequence[float], num_buckets: Sequence[int]) -> tuple[np.ndarray, ...]:
-    """The edges of ``tutorial_bucket``: for each coordinate the smallest float32 that reaches each bucket but the first.
+def tutorial_edges(low: Sequence[Bound], high: Sequence[Bound], num_buckets: Sequence[int]) -> tuple[np.ndarray, ...]:
+    """The edges of ``tutorial_bucket``: per coordinate the smallest float32 that reaches each bucket but the first.
 
     Shapes: low, high, num_buckets [D] -> D rows [buckets_i - 1] float32. Raises ValueError unless every low is below
     its high (as float32), all are finite and every count is at least 1.
@@ -77,7 +79,7 @@ def tutorial_edges(low: Sequence[float], high: Sequence[float], num_buckets: Seq
     return tuple(rows)
 
 
-def _bisect(low: float, high: float, count: int) -> np.ndarray:
+def _bisect(low: Bound, high: Bound, count: int) -> np.ndarray:
     """Smallest float32 in [low, high] of each bucket 1 .. count-1; the formula never falls as the value grows."""
     wanted = np.arange(1, count)
     below = np.full(count - 1, _ordinal(np.float32(low)), np.int64)
@@ -89,7 +91,7 @@ def _bisect(low: float, high: float, count: int) -> np.ndarray:
     return _from_ordinal(reached)
 
 
-def _ordinal(value: np.ndarray) -> np.ndarray:
+def _ordinal(value: np.ndarray | np.float32) -> np.ndarray:
     """float32 to an integer in the same order, neighbours one apart; both zeros are 0."""
     bits = np.asarray(value, np.float32).view(np.int32).astype(np.int64)
     return np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)

@@ -108,7 +108,9 @@ def _summary(seed):
     start = time.perf_counter()
     solved, lengths, updates = train(seed)
     seconds = time.perf_counter() - start
-    print(f"seed {seed}: solved {solved}, {len(lengths)} episodes, {sum(lengths)} steps, {seconds:.0f} s", file=sys.stderr)
+    print(
+        f"seed {seed}: solved {solved}, {len(lengths)} episodes, {sum(lengths)} steps, {seconds:.0f} s", file=sys.stderr
+    )
     return {
         "seed": seed,
         "solved": solved,

@@ -1,0 +1,43 @@
+# make demo: the main job, end to end.  make test: what CI runs.  Both make .venv first.
+# make test PYTHON=python3.13 uses another Python (and the jax that goes with it).
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+READY := $(VENV)/.ready-$(VERSION)
+
+.PHONY: demo test lint lock notebook clean
+
+demo: $(READY)
+	$(BIN)/jaxq sweep article-q --gamma 0.9 0.95 0.99 --seeds 100 --out runs/demo-q-sweep --overwrite
+	$(BIN)/jaxq sweep article-dqn --learning-rate 3e-4 1e-3 --seeds 4 --max-env-steps 30000 \
+	  --out runs/demo-dqn-sweep --overwrite
+	$(BIN)/jaxq train article-q --out runs/demo-q --overwrite
+
+test: lint
+	$(BIN)/pytest
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+$(READY): requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "jaxq needs Python 3.11 or later")'
+	$(PYTHON) -m venv --clear $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
+	touch $@
+
+# Versions for every supported Python in one file, with hashes and without an address.
+lock:
+	$(PYTHON) -m pip install --quiet uv
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	  --no-emit-index-url --no-emit-find-links --extra test pyproject.toml -o requirements.lock
+
+notebook: $(READY)
+	$(BIN)/python notebooks/execute.py
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis

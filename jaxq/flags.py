@@ -1,0 +1,123 @@
+"""The command line's flags, made from the presets. Imports no jax, so that ``--help`` answers at once."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, NoReturn, get_origin
+
+from pydantic.fields import FieldInfo
+
+from jaxq import __version__
+from jaxq.presets import Preset, presets
+from jaxq.suggest import nearest
+
+COMMANDS = {
+    "sweep": "train a preset over settings and seeds, many lanes at once",
+    "train": "train one lane, with its episodes and pictures",
+    "list": "list the presets and environments",
+}
+
+
+class UsageError(Exception):
+    """A user's mistake, in one line."""
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with one-line errors and suggestions."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(message)
+
+
+def overview() -> argparse.ArgumentParser:
+    lines = "\n".join(f"  {name:8}{help}" for name, help in COMMANDS.items())
+    made = Parser(
+        prog="jaxq",
+        usage="jaxq COMMAND ...",
+        description=f"Value-based reinforcement learning, thousands of small trainings at once.\n\ncommands:\n{lines}",
+        epilog="jaxq COMMAND --help says more; for example: jaxq sweep article-q --seeds 100",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    made.add_argument("--version", action="version", version=f"jaxq {__version__}")
+    return made
+
+
+def preset_overview(command: str) -> argparse.ArgumentParser:
+    lines = "\n".join(f"  {p.name:14}{p.summary}" for p in presets())
+    return Parser(
+        prog=f"jaxq {command}",
+        usage=f"jaxq {command} PRESET [options]",
+        description=f"{COMMANDS[command].capitalize()}.\n\npresets:\n{lines}",
+        epilog=f"jaxq {command} PRESET --help lists every hyperparameter",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+
+
+def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
+    several = command == "sweep"
+    made = Parser(
+        prog=f"jaxq {command} {chosen.name}",
+        description=f"{chosen.summary.capitalize()}."
+        + (" Several values after a flag make an axis; the sweep is the product of all axes." if several else ""),
+        allow_abbrev=False,
+    )
+    run = made.add_argument_group("run")
+    if several:
+        run.add_argument("--seeds", type=int, default=10, help="seeds of each setting (default 10)", metavar="N")
+        run.add_argument("--episodes", action="store_true", help="keep a row of every training episode as well")
+    run.add_argument("--seed", type=int, default=0, help="root of all randomness (default 0)", metavar="N")
+    run.add_argument("--prng", default=None, help=f"key family (default {chosen.prng})", metavar="NAME")
+    run.add_argument(
+        "--out", type=Path, default=None, help="run directory (default runs/<preset>-<hash>)", metavar="DIR"
+    )
+    run.add_argument("--resume", action="store_true", help="finish the sweep that the run directory holds")
+    run.add_argument("--overwrite", action="store_true", help="replace the run directory")
+    run.add_argument("--dry-run", action="store_true", help="say what would run, and stop")
+    run.add_argument("--json", action="store_true", help="print one JSON object: lanes, summary, timing")
+    run.add_argument("--quiet", action="store_true", help="no progress and no talk")
+    run.add_argument("--no-progress", action="store_true", help="no progress bar")
+    run.add_argument("--verbose", action="store_true", help="a line per lane, or per episode of a train")
+    run.add_argument("--workers", type=int, default=None, help="cores to use (default all)", metavar="N")
+    for title, wanted in (("hyperparameters", False), ("structure (each combination is compiled once)", True)):
+        group = made.add_argument_group(title)
+        for name, info in type(chosen.settings).model_fields.items():
+            if chosen.settings.is_structure(name) is wanted:
+                _add_flag(group, name, info, getattr(chosen.settings, name), several)
+    return made
+
+
+def parse(command: str, chosen: Preset, words: list[str]) -> argparse.Namespace:
+    """The options of a command. Raises UsageError, with the nearest known flag, for what it does not know."""
+    made = parser(command, chosen)
+    options, unknown = made.parse_known_args(words)
+    if unknown:
+        known = [flag for action in made._actions for flag in action.option_strings]
+        stray = next((word for word in unknown if word.startswith("-")), unknown[0]).split("=")[0]
+        raise UsageError(f"{stray} is unknown to jaxq {command} {chosen.name}{nearest(stray, known)}")
+    return options
+
+
+def _add_flag(group: Any, name: str, info: FieldInfo, default: Any, several: bool) -> None:
+    shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
+    text = f"{info.description} (default {shown})".replace("%", "%%")
+    flag = f"--{name.replace('_', '-')}"
+    metavar = "true|false" if info.annotation is bool else "VALUE"
+    if several:
+        group.add_argument(flag, nargs="+", default=None, help=text, metavar=metavar, dest=f"set_{name}")
+    else:
+        group.add_argument(flag, default=None, help=text, metavar=metavar, dest=f"set_{name}")
+
+
+def given_values(chosen: Preset, options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that were given, each a list of what the preset's model reads."""
+    given = {}
+    for name, info in type(chosen.settings).model_fields.items():
+        raw = getattr(options, f"set_{name}")
+        if raw is not None:
+            words = raw if isinstance(raw, list) else [raw]
+            is_tuple = get_origin(info.annotation) is tuple
+            given[name] = [tuple(word.split(",")) if is_tuple else word for word in words]
+    return given

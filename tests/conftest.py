@@ -1,0 +1,25 @@
+"""What every test shares: the command line's XLA settings, and JAX's check that no key is used twice."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from jaxq import cpu
+
+cpu.tune()
+
+import jax  # noqa: E402 (after the settings)
+
+jax.config.update("jax_debug_key_reuse", True)
+
+REFERENCE = Path(__file__).parent / "reference"
+
+
+@pytest.fixture(scope="session")
+def tutorial():
+    """The tutorial's table agent in plain NumPy over Gymnasium."""
+    spec = importlib.util.spec_from_file_location("tutorial_tabular", REFERENCE / "tutorial_tabular.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

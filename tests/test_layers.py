@@ -1,0 +1,94 @@
+"""The house: arrows point down, nothing heavy is imported unasked, files are short."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "jaxq"
+
+#: Each module may import from lower rows only; modules of one row do not know each other unless listed together in
+#: a pair below.
+LAYERS = [
+    ["types", "families", "suggest", "cpu"],
+    ["prng", "rules", "schedules", "policies", "presets"],
+    ["envs.auto_reset", "envs.cartpole", "envs.discretise", "networks", "optimisers", "replay", "success", "plans"],
+    ["envs", "agents", "stats"],
+    ["agents.tabular", "agents.dqn"],
+    ["experiment"],
+    ["programs"],
+    ["executables", "tally"],
+    ["lanes"],
+    ["tables"],
+    ["runs", "plots", "report", "progress", "flags"],
+    ["sweeps"],
+    ["cli"],
+    ["__main__"],
+]
+RANK = {name: row for row, names in enumerate(LAYERS) for name in names}
+
+
+def module_of(path):
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 1 else parts)
+
+
+def jaxq_imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "jaxq":
+            base = node.module.removeprefix("jaxq").lstrip(".")
+            for alias in node.names:
+                nested = f"{base}.{alias.name}".lstrip(".")
+                if nested in RANK:
+                    yield nested
+                elif base:
+                    yield base
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.startswith("jaxq."):
+                    yield alias.name.removeprefix("jaxq.")
+
+
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+
+
+def test_every_module_has_its_layer():
+    assert {module_of(path) for path in SOURCES} - {"__init__"} == set(RANK)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=module_of)
+def test_imports_point_down(path):
+    name = module_of(path)
+    if name == "__init__":
+        return
+    wrong = {other for other in jaxq_imports(path) if RANK[other] >= RANK[name]}
+    assert not wrong, f"{name} imports {sorted(wrong)}, which are not below it"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=module_of)
+def test_files_are_short(path):
+    assert len(path.read_text().splitlines()) <= 300
+
+
+def loaded_by(code):
+    script = f"{code}\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))"
+    out = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    return set(json.loads(out.splitlines()[-1]))
+
+
+def test_import_jaxq_imports_nothing_heavy():
+    loaded = loaded_by("import jaxq")
+    assert not loaded & {"jax", "brax", "matplotlib", "gymnasium", "flax", "scipy", "pyarrow"}
+
+
+def test_help_imports_no_jax():
+    code = "import jaxq.cli\ntry:\n    jaxq.cli.main(['sweep', 'article-dqn', '--help'])\nexcept SystemExit: pass"
+    assert not loaded_by(code) & {"jax", "brax", "matplotlib", "gymnasium", "scipy", "pyarrow", "rich"}
+
+
+def test_the_whole_library_without_its_edges_imports_neither_brax_nor_matplotlib_nor_gymnasium():
+    loaded = loaded_by("import jaxq\n[getattr(jaxq, name) for name in jaxq.__all__]")
+    assert not loaded & {"brax", "matplotlib", "gymnasium"}

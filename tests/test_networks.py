@@ -1,0 +1,121 @@
+"""Networks: PyTorch's initialisation, and a product that is an ordinary one under every transformation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxq import networks
+
+
+def linear_params(params, index):
+    return params["params"][f"Linear_{index}"]
+
+
+def plain_apply(params, obs):
+    """The same network in plain products."""
+    layers = [linear_params(params, i) for i in range(len(params["params"]))]
+    x = jnp.ravel(obs)
+    for layer in layers[:-1]:
+        x = jnp.maximum(x @ layer["kernel"] + layer["bias"], 0)
+    return x @ layers[-1]["kernel"] + layers[-1]["bias"]
+
+
+def assert_close(actual, expected):
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5), actual, expected)
+
+
+@pytest.fixture(scope="module")
+def net():
+    return networks.mlp((16, 8), 3)
+
+
+@pytest.fixture(scope="module")
+def params(net):
+    return net.init(jax.random.key(0), jnp.zeros(4))
+
+
+def test_initial_weights_are_uniform_within_one_over_root_fan_in():
+    params = networks.mlp((400, 300), 200).init(jax.random.key(1), jnp.zeros((5, 5)))
+    for index, fan_in in enumerate((25, 400, 300)):
+        bound = fan_in**-0.5
+        for values in linear_params(params, index).values():
+            assert jnp.abs(values).max() <= bound
+            assert jnp.abs(values).max() > 0.97 * bound
+            np.testing.assert_allclose(jnp.std(values), bound / np.sqrt(3), rtol=0.1)
+            assert abs(jnp.mean(values)) < 4 * bound / np.sqrt(3 * values.size)
+
+
+def test_layers_and_lanes_start_differently(net):
+    layer = networks.mlp((4,), 4).init(jax.random.key(0), jnp.zeros(4))["params"]
+    assert not np.allclose(layer["Linear_0"]["kernel"], layer["Linear_1"]["kernel"])
+    lanes = jax.vmap(lambda key: net.init(key, jnp.zeros(4)))(jax.random.split(jax.random.key(0), 2))
+    for values in jax.tree.leaves(lanes):
+        assert not np.allclose(values[0], values[1])
+
+
+def test_observations_of_any_shape_are_flattened(net):
+    obs = jnp.arange(12.0).reshape(3, 4)
+    params = net.init(jax.random.key(0), obs)
+    assert net.apply(params, obs).shape == (3,)
+    np.testing.assert_array_equal(net.apply(params, obs), net.apply(params, obs.ravel()))
+    np.testing.assert_array_equal(net.apply(params, obs), net.apply(params, obs.astype(jnp.uint8)))
+
+
+def test_no_hidden_layer_is_a_linear_function():
+    net = networks.mlp((), 2)
+    params = net.init(jax.random.key(0), jnp.zeros(3))
+    assert set(params["params"]) == {"Linear_0"}
+    zero, x = net.apply(params, jnp.zeros(3)), jnp.array([1.0, -2.0, 3.0])
+    assert_close(net.apply(params, 2 * x) - zero, 2 * (net.apply(params, x) - zero))
+
+
+def total(apply, obs):
+    """A scalar of parameters and a batch."""
+    return lambda params: jnp.sum(jax.vmap(apply, (None, 0))(params, obs) ** 2)
+
+
+@pytest.mark.parametrize("jit", [False, True])
+def test_gradient_of_a_batch_equals_plain_products(net, params, jit):
+    obs = jax.random.normal(jax.random.key(1), (7, 4))
+    maybe_jit = jax.jit if jit else lambda f: f
+    assert_close(
+        maybe_jit(jax.grad(total(net.apply, obs)))(params), maybe_jit(jax.grad(total(plain_apply, obs)))(params)
+    )
+
+
+def test_gradient_of_lanes_of_batches_equals_plain_products(net):
+    lanes = jax.vmap(lambda key: net.init(key, jnp.zeros(4)))(jax.random.split(jax.random.key(2), 3))
+    obs = jax.random.normal(jax.random.key(1), (3, 7, 4))
+
+    def gradient(apply):
+        return jax.vmap(lambda params, obs: jax.grad(total(apply, obs))(params))(lanes, obs)
+
+    assert_close(gradient(net.apply), gradient(plain_apply))
+
+
+def test_gradients_of_single_observations_equal_plain_products(net, params):
+    obs = jax.random.normal(jax.random.key(1), (7, 4))
+
+    def per_example(apply):
+        one = jax.grad(lambda params, obs: jnp.sum(apply(params, obs) ** 2))
+        return one(params, obs[0]), jax.vmap(one, (None, 0))(params, obs)
+
+    assert_close(per_example(net.apply), per_example(plain_apply))
+
+
+def test_other_derivatives_equal_plain_products(net, params):
+    obs = jax.random.normal(jax.random.key(1), (2, 5, 4))
+    direction = jax.tree.map(jnp.ones_like, params)
+
+    def derivatives(apply):
+        twice = jax.vmap(jax.vmap(apply, (None, 0)), (None, 0))
+        of_params = total(apply, obs[0])
+        return (
+            jax.jvp(of_params, (params,), (direction,)),
+            jax.jvp(jax.grad(of_params), (params,), (direction,)),
+            jax.grad(lambda params: jnp.sum(twice(params, obs) ** 2))(params),
+            jax.grad(lambda obs: jnp.sum(twice(params, obs) ** 2))(obs),
+        )
+
+    assert_close(derivatives(net.apply), derivatives(plain_apply))
