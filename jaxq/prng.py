@@ -21,13 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.random import define_prng_impl, threefry_prng_impl
 
+from jaxq.families import FAMILIES
 from jaxq.types import Array, Key
 
 Word = Array | np.uint32
 Words = tuple[Array, ...]
 Shape = tuple[int, ...]
 
-IMPLS = ("threefry", "pcg4d")
+IMPLS = FAMILIES
 
 
 def key(seed: int | Array, impl: str = "threefry") -> Key:

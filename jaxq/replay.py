@@ -65,6 +65,9 @@ def uniform(capacity: int, batch_size: int, *, replacement: bool = False) -> Rep
             state.storage,
             transitions,
         )
+        # XLA would fuse the write of a single row into the reads of ``sample``, which then need the old storage: a copy
+        # of whole leaves at every step. The barrier keeps the write in place.
+        storage = jax.lax.optimization_barrier(storage)
         return Replay(storage, (state.position + count) % capacity, jnp.minimum(state.size + count, capacity))
 
     def sample(key: Key, state: Replay) -> Transition:

@@ -1,0 +1,232 @@
+"""The command line as a user meets it: data on stdout, talk on stderr, mistakes in one line."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import safetensors.numpy
+
+from jaxq.cli import main
+
+SHORT = ["--max-episodes", "60", "--success-steps", "30", "--success-streak", "2"]
+TINY = "--hidden 16 --batch-size 16 --learning-starts 32 --buffer-size 500 --max-env-steps 600".split()
+
+LANE_COLUMNS = (
+    "config seed status episodes env_steps updates solved_at_episode solved_at_step diverged_at_step stopped_at_rung"
+    " final_return eval_return"
+).split()
+
+
+@pytest.fixture(autouse=True)
+def somewhere_else(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def sweep_json(capsys, *words):
+    status = main(["sweep", *words, "--json"])
+    return status, json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """One sweep in a process of its own, and what it printed."""
+    where = tmp_path_factory.mktemp("swept")
+    words = [sys.executable, "-m", "jaxq", "sweep", "q-learning", "--gamma", "0.9", "0.99", "--seeds", "12", *SHORT]
+    done = subprocess.run([*words, "--json"], cwd=where, capture_output=True, text=True, check=True)
+    (run,) = (where / "runs").iterdir()
+    return run, json.loads(done.stdout), done.stderr
+
+
+def test_json_has_a_row_per_lane_a_row_per_setting_and_the_timing(swept):
+    _, out, _ = swept
+    assert set(out) == {"lanes", "summary", "timing"}
+    assert [(row["config"], row["seed"]) for row in out["lanes"]] == [(c, s) for c in (0, 1) for s in range(12)]
+    assert set(LANE_COLUMNS) <= set(out["lanes"][0])
+    assert {row["gamma"] for row in out["lanes"] if row["config"] == 1} == {0.99}
+    assert set(out["timing"]) == {"compile_s", "run_s", "env_steps_per_s", "updates_per_s", "programs"}
+    assert out["timing"]["programs"] == 1
+    for row in out["summary"]:
+        mine = [lane for lane in out["lanes"] if lane["config"] == row["config"]]
+        assert row["seeds"] == len(mine) == 12
+        assert row["solved"] == sum(lane["status"] == "solved" for lane in mine) / 12
+        assert row["solved_low"] <= row["solved"] <= row["solved_high"]
+        assert row["final_return_low"] <= row["final_return"] <= row["final_return_high"]
+    for lane in out["lanes"]:
+        assert (lane["solved_at_episode"] is not None) == (lane["status"] == "solved")
+
+
+def test_the_run_directory_holds_the_same_rows_the_policies_and_a_picture(swept):
+    run, out, stderr = swept
+    rows = [row for part in sorted(run.glob("parts/*-lanes.parquet")) for row in pq.read_table(part).to_pylist()]
+    assert sorted(rows, key=lambda r: (r["config"], r["seed"])) == out["lanes"]
+    tables = {k: v for part in run.glob("policies/*") for k, v in safetensors.numpy.load_file(part).items()}
+    assert set(tables) == {f"{c}/{s}/table" for c in (0, 1) for s in range(12)}
+    assert tables["1/3/table"].shape == (18, 2)
+    assert (run / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
+    assert str(run.name) in stderr
+
+
+def test_the_same_sweep_again_is_refused_and_resumed_to_the_same_rows(swept, capsys, monkeypatch):
+    run, out, _ = swept
+    monkeypatch.chdir(run.parent.parent)
+    words = ["q-learning", "--gamma", "0.9", "0.99", "--seeds", "12", *SHORT]
+    assert main(["sweep", *words]) == 2
+    assert "--resume" in capsys.readouterr().err
+    status, again = sweep_json(capsys, *words, "--resume")
+    assert status == 0
+    assert again["lanes"] == out["lanes"]
+    assert again["timing"]["programs"] == 0
+
+
+def test_fewer_lanes_in_another_process_give_the_same_rows(swept, capsys):
+    run, out, _ = swept
+    status, first = sweep_json(capsys, "q-learning", "--gamma", "0.9", "--seeds", "3", "--out", "copy", *SHORT)
+    wanted = [row for row in out["lanes"] if row["config"] == 0 and row["seed"] < 3]
+    assert (status, first["lanes"]) == (0, wanted)  # fewer lanes, other neighbours, another process: the same bits
+
+
+def test_a_table_per_setting_for_people(capsys):
+    assert main(["sweep", "q-learning", "--alpha-min", "0.1", "0.2", "--seeds", "3", *SHORT]) == 0
+    out = capsys.readouterr().out
+    for heading in ("alpha_min", "seeds", "solved", "episodes", "env steps", "final return", "greedy return"):
+        assert heading in out
+    assert "0.2" in out
+    assert "learning_curves.png" in out
+
+
+def test_train_prints_and_saves_the_table_and_draws_the_two_pictures(capsys):
+    assert main(["train", "article-q", *SHORT, "--verbose", "--out", "one"]) == 0
+    captured = capsys.readouterr()
+    assert "final Q-table" in captured.out
+    episodes = pq.read_table(next(Path("one/parts").glob("*-episodes.parquet"))).to_pylist()
+    printed = [line for line in captured.err.splitlines() if line.startswith("episode ")]
+    assert len(printed) == len(episodes)
+    assert sum(row["length"] for row in episodes) == episodes[-1]["env_steps"]
+    assert printed[0].startswith(f"episode 0: {episodes[0]['length']} steps")
+    for name in ("q_values.png", "episodes.png"):
+        assert f"one/{name}" in captured.out
+        assert Path("one", name).read_bytes().startswith(b"\x89PNG")
+    (saved,) = safetensors.numpy.load_file(next(Path("one/policies").iterdir())).values()
+    assert f"{saved.max():.2f}"[:4] in captured.out.replace("\n", " ")
+
+
+def test_a_sweep_of_dqn_over_numbers_and_structures(capsys):
+    words = ["article-dqn", *TINY, "--learning-rate", "1e-3", "1e-2", "--double", "false", "true", "--seeds", "2"]
+    status, out = sweep_json(capsys, *words)
+    assert status == 0
+    assert out["timing"]["programs"] == 2
+    assert len(out["summary"]) == 4
+    assert all(row["updates"] == 600 - 32 + 1 for row in out["lanes"])
+
+
+def test_train_dqn_draws_episode_lengths(capsys):
+    assert main(["train", "article-dqn", *TINY, "--out", "net", "--quiet"]) == 0
+    assert Path("net/episodes.png").exists()
+    weights = safetensors.numpy.load_file(next(Path("net/policies").iterdir()))
+    assert weights["0/0/params.Linear_0.kernel"].shape == (4, 16)
+
+
+def test_a_setting_whose_lanes_all_diverge_is_exit_1_and_said(capsys):
+    words = ["article-dqn", *TINY, "--learning-rate", "1e-3", "1e30", "--seeds", "2"]
+    status, out = sweep_json(capsys, *words)
+    assert status == 1
+    assert [row["diverged"] for row in out["summary"]] == [0, 2]
+    lost = [row for row in out["lanes"] if row["config"] == 1]
+    assert all(row["status"] == "diverged" and row["diverged_at_step"] is not None for row in lost)
+    assert all(row["eval_return"] is None for row in lost)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["sweep", "article-q", "--gamma", "1.5"], "gamma: 1.5"),
+        (["sweep", "article-dqn", "--learning-rate", "nan"], "learning_rate: nan"),
+        (["sweep", "article-dqn", "--learning-rate", "1e-3", "-1"], "learning_rate: -1"),
+        (["sweep", "article-q", "--seeds", "0"], "seeds: 0"),
+        (["sweep", "article-q", "--seeds", "many"], "--seeds"),
+        (["sweep", "article-q", "--num-buckets", "1,1,x,3"], "num_buckets"),
+        (["sweep", "article-p"], "did you mean 'article-q'"),
+        (["sweep", "article-q", "--gama", "0.9"], "did you mean '--gamma'"),
+        (["sweep", "article-q", "--gamma"], "--gamma"),
+        (["sweep", "article-q", "--prng", "mt19937"], "threefry, pcg4d"),
+        (["sweep", "article-q", "--workers", "0"], "--workers: 0"),
+        (["sweep", "article-q", "--resume", "--overwrite"], "--resume"),
+        (["train", "article-q", "--gamma", "0.9", "0.99"], "0.99"),
+        (["swep", "article-q"], "did you mean 'sweep'"),
+        (["list", "everything"], "everything"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_2_and_leaves_nothing(words, said, capsys):
+    assert main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert said in captured.err
+    assert len(captured.err.strip().splitlines()) == 1
+    assert not list(Path().iterdir())
+
+
+def test_dry_run_says_what_would_run_and_runs_nothing(capsys):
+    assert main(["sweep", "article-dqn", "--gamma", "0.9", "0.99", "--double", "true", "false", "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "4 settings x 10 seeds = 40 lanes" in out
+    assert "2 programs" in out
+    assert not list(Path().iterdir())
+
+
+def test_version_list_and_help(capsys):
+    import jaxq
+
+    with pytest.raises(SystemExit) as leaving:
+        main(["--version"])
+    assert leaving.value.code == 0
+    assert capsys.readouterr().out == f"jaxq {jaxq.__version__}\n"
+    assert main(["list"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in ("article-q", "q-learning", "article-dqn", "dqn", "CartPole-v1"))
+    with pytest.raises(SystemExit) as leaving:
+        main(["sweep", "article-dqn", "--help"])
+    assert leaving.value.code == 0
+    out = capsys.readouterr().out
+    assert "--learning-rate" in out
+    assert "0.0001" in out
+
+
+def test_ctrl_c_keeps_what_ended_and_resume_finishes_it():
+    words = [sys.executable, "-m", "jaxq", "sweep", "article-q", "--seeds", "4000", "--out", "run"]
+    process = subprocess.Popen(
+        [*words, "--verbose"], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ}
+    )
+    assert process.stderr is not None
+    process.stderr.readline()  # the first lane has ended
+    process.send_signal(signal.SIGINT)
+    _, talk = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "--resume" in talk
+    kept = [row for part in Path("run/parts").glob("*-lanes.parquet") for row in pq.read_table(part).to_pylist()]
+    assert 1 <= len(kept) < 4000
+    time.sleep(0.1)
+    assert "Traceback" not in talk
+
+
+def test_two_processes_do_not_share_a_directory(capsys):
+    from jaxq.plans import plan
+    from jaxq.runs import RunDirectory
+
+    with RunDirectory.open(Path("run"), plan("article-q")):
+        assert main(["sweep", "article-q", "--out", "run", "--resume"]) == 75
+    assert "another process" in capsys.readouterr().err
+
+
+def test_importing_rows_needs_no_jaxq(swept):
+    run, out, _ = swept
+    table = pq.read_table(next(run.glob("parts/*-curves.parquet")))
+    assert {"config", "seed", "env_steps", "train_return", "loss", "max_q", "epsilon"} <= set(table.column_names)
+    steps = np.array(table["env_steps"])
+    assert steps.max() == max(row["env_steps"] for row in out["lanes"])
