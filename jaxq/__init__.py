@@ -34,7 +34,7 @@ _MODULES: tuple[str, ...] = (
     "programs",
 )
 _MODULES += ("replay", "rules", "schedules", "stats", "success", "types")
-_NAMES = {"Outcome": "sweeps", "Plan": "plans", "plan": "plans", "sweep": "sweeps"}
+_NAMES = {"Outcome": "sweeps", "Plan": "plans", "plan": "plans", "sweep": "sweeps", "train": "sweeps"}
 
 __all__ = [*_MODULES, *_NAMES]
 

@@ -206,19 +206,12 @@ def _pictures(command: str, outcome: Any, directory: Any, kept: list[Any]) -> li
             i: ", ".join(f"{name} {getattr(one, name)}" for name in outcome.plan.varied) or outcome.plan.preset.name
             for i, one in enumerate(outcome.plan.settings)
         }
-        target = directory.path / "learning_curves.png"
-        return [plots.learning_curves(target, outcome.lanes, outcome.curves, labels)]
-    made = []
+        curves = plots.learning_curves(outcome.lanes, outcome.curves, labels)
+        return [plots.save(curves, directory.path / "learning_curves.png")]
+    made = {}
     for result in kept:
-        settings = outcome.plan.settings[0]
         if result.max_q is not None:
-            made.append(plots.q_values(directory.path / "q_values.png", result.max_q))
-        made.append(
-            plots.episode_lengths(
-                directory.path / "episodes.png",
-                result.episodes.length,
-                title="Successful steps over training episodes",
-                success_at=settings.success_steps,
-            )
-        )
-    return made
+            made["q_values.png"] = plots.q_values(result.max_q)
+        success_at = outcome.plan.settings[0].success_steps
+        made["episodes.png"] = plots.episode_lengths(result.episodes.length, success_at=success_at)
+    return [plots.save(figure, directory.path / name) for name, figure in made.items()]

@@ -76,6 +76,8 @@ def run(
     for thread in threads:
         thread.start()
     running = count
+    if on_progress:
+        on_progress(shared.progress)
     try:
         while running:
             try:
@@ -90,8 +92,8 @@ def run(
                 running -= 1
             if on_progress:
                 on_progress(shared.progress)
-    finally:
-        stop.set()
+    finally:  # the caller may have left early
+        shared.closed = True
 
 
 _DONE = object()
@@ -101,14 +103,17 @@ class _Shared:
     """What the workers share: the queue of pending lanes, the results, the progress."""
 
     def __init__(self, lanes: Iterator[Lane], progress: Progress, stop: threading.Event):
-        self.lanes, self.progress, self.stop = lanes, progress, stop
+        self.lanes, self.progress, self.stop, self.closed = lanes, progress, stop, False
         self.results: queue.Queue[Any] = queue.Queue()
         self.lock = threading.Lock()
         self.shares: dict[int, float] = {}
 
+    def stopping(self) -> bool:
+        return self.closed or self.stop.is_set()
+
     def take(self) -> Lane | None:
         with self.lock:
-            return None if self.stop.is_set() else next(self.lanes, None)
+            return None if self.stopping() else next(self.lanes, None)
 
     def count(self, worker: int, share: float, env_steps: int, updates: int, ended: list[str]) -> None:
         with self.lock:
@@ -140,7 +145,7 @@ class _Worker:
                 self._advance()
                 if len(self.waiting) >= self.width:
                     self._hand_on()
-                if self.shared.stop.is_set():
+                if self.shared.stopping():
                     break
             while self.waiting:
                 self._hand_on()

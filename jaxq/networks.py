@@ -8,13 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 
 from jaxq.types import Array, Key, PyTree
 
@@ -48,8 +45,8 @@ class MLP(nn.Module):
     {'bias': (8,), 'kernel': (9, 8)}
     """
 
-    hidden: tuple[int, ...] = (128, 128)
-    num_outputs: int = 2
+    hidden: tuple[int, ...]
+    num_outputs: int
 
     @nn.compact  # type: ignore[untyped-decorator]
     def __call__(self, obs: Array) -> Array:
@@ -79,42 +76,4 @@ class Linear(nn.Module):
 
         kernel = self.param("kernel", uniform, (num_inputs, self.num_outputs))
         bias = self.param("bias", uniform, (self.num_outputs,))
-        return _product(x, kernel) + bias
-
-
-# The gradient of a kernel is x^T g, a sum over the batch. XLA on CPU runs a product that contracts the leading axes of
-# both operands at two thirds of the rate of a plain one, and folds a transposition of x into it. So x^T is written out
-# behind a barrier. Only ``vmap`` knows the batch, hence a primitive: an ordinary bilinear product in everything but
-# how it batches and what the gradient of its kernel is made of.
-
-
-def _product(x: Array, kernel: Array) -> Array:
-    """x W. Shapes: x [I] or, once a vmap has met it, [B, I]; kernel [I, O] -> [O] or [B, O]."""
-    return _product_p.bind(x, kernel)
-
-
-def _kernel_gradient(g: Array, x: Array, kernel: Array) -> Array:
-    """x^T g. Shapes: g [O], x [I] or g [B, O], x [B, I] -> [I, O]."""
-    if x.ndim == 1:
-        return jnp.outer(x, g)
-    return jax.lax.optimization_barrier(x.T) @ g
-
-
-def _product_batching(operands: Sequence[Array], axes: Sequence[Any]) -> tuple[Array, int]:
-    (x, kernel), (x_axis, kernel_axis) = operands, axes
-    if kernel_axis is not None or x_axis is None:  # a vmap over lanes
-        return jax.vmap(jnp.matmul, (x_axis, kernel_axis))(x, kernel), 0
-    x = jnp.moveaxis(x, x_axis, 0)
-    out = _product(x.reshape(-1, x.shape[-1]), kernel)
-    return out.reshape(*x.shape[:-1], kernel.shape[-1]), 0
-
-
-_product_p = Primitive("product")
-_product_p.def_impl(jnp.matmul)
-# An array like x but for its shape: what else its type holds (such as the devices it varies over) carries over.
-_product_p.def_abstract_eval(
-    lambda x, kernel: x.update(shape=(*x.shape[:-1], kernel.shape[-1]), dtype=jnp.result_type(x, kernel))
-)
-mlir.register_lowering(_product_p, mlir.lower_fun(jnp.matmul, multiple_results=False))
-ad.defbilinear(_product_p, lambda g, x, kernel: g @ kernel.T, _kernel_gradient)
-batching.primitive_batchers[_product_p] = _product_batching
+        return x @ kernel + bias

@@ -60,14 +60,13 @@ def uniform(capacity: int, batch_size: int, *, replacement: bool = False) -> Rep
         if count > capacity:
             raise ValueError(f"at most {capacity} transitions (the capacity) can be added at once, got {count}")
         rows = (state.position + jnp.arange(count, dtype=jnp.int32)) % capacity
+        if count == 1:
+            # XLA turns a scatter of one row into a slice update and fuses that into the reads of ``sample``, which then
+            # need the old storage too: a copy of whole leaves at every step. So a single row is written twice.
+            rows, transitions = jax.tree.map(lambda x: jnp.repeat(x, 2, axis=0), (rows, transitions))
         storage = jax.tree.map(
-            lambda stored, new: stored.at[rows].set(new, mode="promise_in_bounds", unique_indices=True),
-            state.storage,
-            transitions,
+            lambda stored, new: stored.at[rows].set(new, mode="promise_in_bounds"), state.storage, transitions
         )
-        # XLA would fuse the write of a single row into the reads of ``sample``, which then need the old storage: a copy
-        # of whole leaves at every step. The barrier keeps the write in place.
-        storage = jax.lax.optimization_barrier(storage)
         return Replay(storage, (state.position + count) % capacity, jnp.minimum(state.size + count, capacity))
 
     def sample(key: Key, state: Replay) -> Transition:

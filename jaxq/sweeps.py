@@ -139,6 +139,16 @@ def sweep(name: str, *, seeds: int = 1, root_seed: int = 0, prng: str | None = N
     return run(plan(name, seeds=seeds, root_seed=root_seed, prng=prng, **values))
 
 
+def train(name: str, *, root_seed: int = 0, prng: str | None = None, **values: Any) -> Result:
+    """Trains one lane of a preset and returns it with its episodes, its policy and the value of every update.
+
+    ``jaxq.train("article-q").episodes.length``. Raises ValueError as ``plan`` does.
+    """
+    kept: list[Result] = []
+    run(plan(name, root_seed=root_seed, prng=prng, **values), keep_max_q=True, on_result=kept.append)
+    return kept[0]
+
+
 def _by_structure(planned: Plan, have: set[tuple[int, int]]) -> list[list[tuple[int, int]]]:
     """The pending (config, seed) pairs of each structure."""
     groups: dict[Any, list[tuple[int, int]]] = {}

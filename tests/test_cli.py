@@ -230,3 +230,18 @@ def test_importing_rows_needs_no_jaxq(swept):
     assert {"config", "seed", "env_steps", "train_return", "loss", "max_q", "epsilon"} <= set(table.column_names)
     steps = np.array(table["env_steps"])
     assert steps.max() == max(row["env_steps"] for row in out["lanes"])
+
+
+def test_the_library_gives_the_rows_of_the_command_line(swept):
+    import jaxq
+
+    _, out, _ = swept
+    numbers = {"max_episodes": 60, "success_steps": 30, "success_streak": 2}
+    outcome = jaxq.sweep("q-learning", gamma=[0.9, 0.99], seeds=12, **numbers)
+    assert outcome.lanes == out["lanes"]
+    assert outcome.summary() == out["summary"]
+    alone = jaxq.train("q-learning", gamma=0.99, **numbers)
+    row = next(r for r in out["lanes"] if (r["config"], r["seed"]) == (1, 0))
+    assert (alone.status, alone.env_steps) == (row["status"], row["env_steps"])
+    assert alone.max_q is not None
+    assert len(alone.max_q) == alone.updates

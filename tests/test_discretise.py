@@ -149,11 +149,9 @@ def test_bounds_of_float32_and_of_python_round_differently_and_each_as_numpy_doe
 
 def test_hand_worked_edges():
     (edges,) = tutorial_edges([-1.0], [1.0], [3])
-    # round(v + 1) is 1 from just above -0.5, as half goes to even, and 2 from the first v whose v + 1 rounds to 1.5.
-    assert edges.tolist() == [
-        np.nextafter(np.float32(-0.5), np.float32(0)),
-        np.nextafter(np.float32(0.5), np.float32(0)),
-    ]
+    # round(v + 1): the sum is a float32 number, and the last ones that round to 0.5 and the first to 1.5 are halves,
+    # which go to the even 0 and 2.
+    assert edges.tolist() == [-0.5 + 2.0**-24, 0.5 - 2.0**-24]
     np.testing.assert_array_equal(buckets(np.float32([-1, -0.5, 0, 0.4999, 0.5, 1]), edges), [0, 0, 1, 1, 2, 2])
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 
 import jax
 import jax.numpy as jnp
@@ -81,7 +80,7 @@ def test_whether_to_explore_does_not_depend_on_which_action_would_be_drawn():
 @pytest.mark.parametrize("words", [(0, 0), (0, 2**32 - 1), (0, 2**31)])
 def test_the_extreme_words_draw_an_action_that_exists(monkeypatch, words):
     monkeypatch.setattr(jax.random, "bits", lambda key, shape, dtype: jnp.array(words, dtype).reshape(shape))
-    for actions in [*range(1, 20), 127, 128, 129, 1000]:
+    for actions in (1, 2, 3, 5, 7, 8, 11, 127, 128, 129, 1000):
         drawn = policies.epsilon_greedy(jax.random.key(0), jnp.zeros(actions), 1.0)
         assert drawn == int(words[1] / 2**32 * actions)
 
@@ -137,7 +136,7 @@ def test_log10_decay_equals_the_tutorials(tutorial, low, high, coefficient):
         precise = schedule(episodes, *(jnp.float64(number) for number in (low, high, coefficient)))
         assert precise.dtype == np.float64
     np.testing.assert_allclose(precise, expected, rtol=0, atol=1e-12)
-    assert len(np.unique(expected)) > 50
+    assert len(np.unique(expected)) > 30
 
 
 def test_log10_decay_is_clipped_to_its_bounds_exactly():
@@ -145,9 +144,7 @@ def test_log10_decay_is_clipped_to_its_bounds_exactly():
     np.testing.assert_array_equal(ours, np.float32([1.0, 1.0, 0.01]))
 
 
-@pytest.mark.parametrize(
-    ("count", "expected"), [(0, 0.9), (1000, 0.05 + 0.85 / math.e), (2000, 0.05 + 0.85 / math.e**2)]
-)
+@pytest.mark.parametrize(("count", "expected"), [(0, 0.9), (1000, 0.3626975), (2000, 0.1650350)])
 def test_exponential_hand_values(count, expected):
     ours = schedules.exponential(jnp.array(count), 0.9, 0.05, 1000.0)
     np.testing.assert_allclose(ours, expected, rtol=1e-6)

@@ -172,10 +172,8 @@ def test_one_update_worked_by_hand():
     agent = make_agent(alpha_min=0.25, alpha_max=0.25, gamma=0.5)
     state = TabularState(jnp.zeros((STATES, ACTIONS)).at[3].set(jnp.array([2.0, 8.0])).at[1, 0].set(1.0))
     for continues, target in ((1.0, 1.0 + 0.5 * 8.0), (0.0, 1.0)):
-        one = Transition(
-            jnp.array(1), jnp.array(0), jnp.array(1.0), jnp.array(continues), jnp.array(3), jnp.array(True)
-        )
-        after, metrics = agent.update(key(), state, jax.tree.map(lambda leaf: leaf[None, None], one), make_clock(0))
+        one = jax.tree.map(lambda leaf: jnp.full((1, 1), leaf), Transition(1, 0, 1.0, continues, 3, True))
+        after, metrics = agent.update(key(), state, one, make_clock(0))
         expected = np.asarray(state.table).copy()
         expected[1, 0] += 0.25 * (target - 1.0)
         np.testing.assert_array_equal(after.table, expected)
@@ -251,11 +249,8 @@ def test_epsilon_and_the_step_size_follow_the_episode_and_not_the_steps(tutorial
 
 @pytest.mark.parametrize("episode", [0, 60, 5000])
 def test_an_agent_explores_at_the_rate_it_reports(tutorial, episode):
-    agent, state, clock = (
-        make_agent(),
-        TabularState(jnp.zeros((STATES, ACTIONS)).at[7, 1].set(1.0)),
-        make_clock(episode),
-    )
+    agent, clock = make_agent(), make_clock(episode)
+    state = TabularState(jnp.zeros((STATES, ACTIONS)).at[7, 1].set(1.0))
     keys = jax.random.split(jax.random.key(5), 20_000)
     actions = jax.jit(jax.vmap(lambda k: agent.act(k, state, jnp.array(7), clock)))(keys)
     rate = tutorial.decay(episode, 0.01, 1.0)
@@ -284,11 +279,11 @@ def test_adding_to_one_cell_equals_numpy_in_small_and_large_tables(shape):
 def test_both_ways_of_writing_make_the_same_table(record, monkeypatch, cells):
     bootstrap_terminal, it = record
     monkeypatch.setattr(module, "DENSE_CELLS", cells)
-    program = str(jax.make_jaxpr(add_to_table)(jnp.zeros((STATES, ACTIONS)), 1, 1, 1.0))
+    program = str(jax.make_jaxpr(lambda table: add_to_table(table, 1, 1, 1.0))(jnp.zeros((STATES, ACTIONS))))
     assert ("scatter" in program) == (cells == 0)
     state, _ = run_jax(it, np.float32, bootstrap_terminal)
     monkeypatch.undo()
-    np.testing.assert_allclose(state.table, run_jax(it, np.float32, bootstrap_terminal)[0].table, rtol=1e-6)
+    np.testing.assert_allclose(state.table, run_jax(it, np.float32, bootstrap_terminal)[0].table, rtol=1e-5)
 
 
 def test_a_table_larger_than_the_dense_limit_learns_as_a_small_one():
@@ -305,9 +300,8 @@ def test_a_table_larger_than_the_dense_limit_learns_as_a_small_one():
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.int16, np.int32])
 def test_states_and_actions_may_be_small_integers(dtype):
     states = np.iinfo(dtype).max if np.iinfo(dtype).bits == 8 else 255
-    write = add_to_table(jnp.zeros((states + 1, 2)), dtype(states), dtype(1), 1.0)
-    assert write[states, 1] == 1
-    assert np.sum(write) == 1
+    written = add_to_table(jnp.zeros((states + 1, 2)), jnp.asarray(states, dtype), jnp.asarray(1, dtype), 1.0)
+    np.testing.assert_array_equal(np.argwhere(written), [[states, 1]])
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

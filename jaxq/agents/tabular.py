@@ -108,5 +108,5 @@ def add_to_table(table: Array, state: Array, action: Array, amount: Array) -> Ar
     """
     if table.size > DENSE_CELLS:
         return table.at[state, action].add(amount)
-    cell = jnp.arange(table.size).reshape(table.shape) == state * table.shape[1] + action
+    cell = jnp.arange(table.size).reshape(table.shape) == jnp.asarray(state, jnp.int32) * table.shape[1] + action
     return table + jnp.where(cell, amount, 0)
