@@ -295,7 +295,7 @@ def test_a_table_network_is_tabular_q_learning():
 @pytest.mark.parametrize("clip", ["value", "norm", "none"])
 @pytest.mark.parametrize("double", [False, True])
 def test_an_ended_lane_stands_still_to_the_bit(clip, double):
-    agent = make_agent(HYPERS._replace(tau=1.0, weight_decay=0.9), clip=clip, double=double)
+    agent = make_agent(HYPERS._replace(tau=0.5, weight_decay=0.9), clip=clip, double=double)
     learn = jax.jit(agent.update)
     state = start(agent)
     for index in range(3):

@@ -103,9 +103,7 @@ def test_a_plan_that_cannot_be_is_refused(values):
 
 def test_lists_are_axes_and_the_last_is_fastest():
     planned = plan("article-q", gamma=[0.9, 0.99], alpha_min=[0.0, 0.1, 0.2], epsilon_min=0.05, seeds=5)
-    assert [(s.gamma, s.alpha_min) for s in planned.settings] == [
-        (g, a) for g in (0.9, 0.99) for a in (0.0, 0.1, 0.2)
-    ]
+    assert [(s.gamma, s.alpha_min) for s in planned.settings] == [(g, a) for g in (0.9, 0.99) for a in (0.0, 0.1, 0.2)]
     assert {s.epsilon_min for s in planned.settings} == {0.05}
     assert planned.varied == ("gamma", "alpha_min")
     assert (planned.lanes, planned.programs) == (30, 1)

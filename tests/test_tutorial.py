@@ -1,0 +1,43 @@
+"""The presets of the tutorial against runs of the tutorial's own code (tests/reference/*.json says how they were made)."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import REFERENCE
+from scipy import stats
+
+import jaxq
+
+#: Two samples of the same distribution are called different once in a thousand.
+ALPHA = 1e-3
+
+
+@pytest.fixture(scope="module")
+def swept():
+    return jaxq.sweep("article-q", seeds=400)
+
+
+def test_article_q_succeeds_as_often_as_the_tutorials_code(swept):
+    theirs = json.loads((REFERENCE / "tutorial_tabular.json").read_text())
+    assert len(theirs["solved"]) >= 300
+    ours = [row["status"] == "solved" for row in swept.lanes]
+    table = [[sum(ours), len(ours) - sum(ours)], [sum(theirs["solved"]), len(ours) - sum(theirs["solved"])]]
+    assert stats.fisher_exact(table).pvalue > ALPHA
+
+
+@pytest.mark.parametrize(("theirs", "ours"), [("episodes", "solved_at_episode"), ("env_steps", "solved_at_step")])
+def test_article_q_takes_as_long_as_the_tutorials_code(swept, theirs, ours):
+    reference = json.loads((REFERENCE / "tutorial_tabular.json").read_text())
+    expected = np.array(reference[theirs])[np.array(reference["solved"])]
+    found = [row[ours] for row in swept.lanes if row["status"] == "solved"]
+    assert stats.ks_2samp(expected, found).pvalue > ALPHA
+    # The comparison can tell: five episodes in two hundred and fifty apart are seen.
+    assert stats.ks_2samp(expected * 1.02, found).pvalue < ALPHA
+
+
+def test_termination_alone_sets_q_learning_apart(swept):
+    right = jaxq.sweep("q-learning", seeds=200)
+    found = [row["solved_at_episode"] for row in right.lanes if row["status"] == "solved"]
+    ours = [row["solved_at_episode"] for row in swept.lanes if row["status"] == "solved"]
+    assert stats.ks_2samp(found, ours).pvalue < ALPHA
