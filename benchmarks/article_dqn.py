@@ -1,4 +1,4 @@
-"""Updates per second of ``article-dqn``: the engine, plain ``jit(vmap(...))`` of the same agent, the tutorial's PyTorch.
+"""Updates per second of ``article-dqn``: the engine, plain ``jit(vmap(...))`` of the same agent, and PyTorch.
 
     python -m benchmarks.article_dqn --torch-python PATH
 
@@ -20,9 +20,8 @@ import time
 from pathlib import Path
 
 LANES = 128
-#: Rounds that are timed, after one segment of warm-up.
-ROUNDS = 256
-TORCH_STEPS = 1500
+UPDATES = 8 * 256  # whole segments, so that no lane waits for the end of one
+TORCH_STEPS = 3000
 
 
 def engine(lanes: int) -> float:
@@ -36,7 +35,7 @@ def engine(lanes: int) -> float:
     from jaxq.tally import Lane
 
     # Every lane makes the same number of updates and none ends early: no tail in the measurement.
-    steps = 128 + 4 * ROUNDS
+    steps = 127 + UPDATES
     one = plan("article-dqn", max_env_steps=steps, max_episodes=10**6).settings[0]
     hypers = programs.hypers(one)
     built = executables.build(programs.program(one, "pcg4d"), hypers, "pcg4d")
@@ -75,7 +74,8 @@ def tutorial() -> float:
     """The tutorial's loop in PyTorch, one training, as many threads as it takes."""
     path = Path(__file__).parent.parent / "tests" / "reference" / "tutorial_dqn.py"
     spec = importlib.util.spec_from_file_location("tutorial_dqn", path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules["tutorial_dqn"] = module
     spec.loader.exec_module(module)

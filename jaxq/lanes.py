@@ -94,6 +94,8 @@ def run(
                 on_progress(shared.progress)
     finally:  # the caller may have left early
         shared.closed = True
+        for thread in threads:  # a thread that is still in XLA when the interpreter ends aborts the process
+            thread.join()
 
 
 _DONE = object()

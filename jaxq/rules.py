@@ -5,8 +5,8 @@ Batches are the caller's ``jax.vmap``. Names carry the timeline: ``q_tm1``, ``a_
 ``discount_t`` is gamma times 0 after a termination and gamma times 1 otherwise, truncation included, so that
 termination, gamma and n-step all pass through one argument.
 
-A rule is *which value of the next state* put into *one TD error*: double Q-learning is an array you pass. Next-state
-values are targets and carry no gradient; ``td_error`` differentiates with respect to ``q_tm1`` alone.
+A rule is *which value of the next state* put into *one TD error*: double Q-learning is an array you pass. ``td_error``
+is the one place that stops the gradient: what is moved towards is a constant, and only ``q_tm1`` is differentiated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def greedy_value(q_t: Array) -> Array:
     >>> float(greedy_value(jnp.array([1.0, 3.0])))
     3.0
     """
-    return jax.lax.stop_gradient(jnp.max(q_t))
+    return jnp.max(q_t)
 
 
 def double_value(q_t: Array, selector_t: Array) -> Array:
@@ -37,7 +37,7 @@ def double_value(q_t: Array, selector_t: Array) -> Array:
     >>> float(double_value(jnp.array([1.0, 3.0]), jnp.array([5.0, 4.0])))
     1.0
     """
-    return jax.lax.stop_gradient(_pick(q_t, jnp.argmax(selector_t)))
+    return _pick(q_t, jnp.argmax(selector_t))
 
 
 def sarsa_value(q_t: Array, a_t: Array) -> Array:
@@ -48,7 +48,7 @@ def sarsa_value(q_t: Array, a_t: Array) -> Array:
     >>> float(sarsa_value(jnp.array([1.0, 3.0]), jnp.array(0)))
     1.0
     """
-    return jax.lax.stop_gradient(_pick(q_t, a_t))
+    return _pick(q_t, a_t)
 
 
 def expected_value(q_t: Array, probs_t: Array) -> Array:
@@ -60,19 +60,20 @@ def expected_value(q_t: Array, probs_t: Array) -> Array:
     >>> float(expected_value(jnp.array([1.0, 3.0]), jnp.array([0.25, 0.75])))
     2.5
     """
-    return jax.lax.stop_gradient(jnp.sum(probs_t * q_t))
+    return jnp.sum(probs_t * q_t)
 
 
 def td_error(q_tm1: Array, a_tm1: Array, r_t: Array, discount_t: Array, v_t: Array) -> Array:
     """Temporal-difference error of one action value.
 
-    delta = r_t + discount_t v_t - q_tm1[a_tm1]. Shapes: q_tm1 [A], the rest [] -> [].
+    delta = r_t + discount_t v_t - q_tm1[a_tm1], with no gradient through the target r_t + discount_t v_t.
+    Shapes: q_tm1 [A], the rest [] -> [].
     Sutton and Barto, *Reinforcement Learning*, 2018, equation 6.5.
 
     >>> float(td_error(jnp.array([0.5, 2.0]), jnp.array(1), 1.0, 0.5, 4.0))
     1.0
     """
-    return r_t + discount_t * v_t - _pick(q_tm1, a_tm1)
+    return jax.lax.stop_gradient(r_t + discount_t * v_t) - _pick(q_tm1, a_tm1)
 
 
 def q_learning(q_tm1: Array, a_tm1: Array, r_t: Array, discount_t: Array, q_t: Array) -> Array:
@@ -97,12 +98,14 @@ def n_step_return(r_t: Array, discount_t: Array, v_t: Array) -> Array:
     2.5
     """
 
-    def back(value: Array, step: tuple[Array, Array]) -> tuple[Array, None]:
-        reward, discount = step
-        return reward + discount * value, None
+    start = jnp.asarray(v_t, jnp.result_type(v_t, r_t, discount_t))
+    return jax.lax.scan(_back, start, (r_t, discount_t), reverse=True)[0]
 
-    start = jax.lax.stop_gradient(jnp.asarray(v_t, jnp.result_type(v_t, r_t, discount_t)))
-    return jax.lax.scan(back, start, (r_t, discount_t), reverse=True)[0]
+
+def _back(value: Array, step: tuple[Array, Array]) -> tuple[Array, None]:
+    """One step back in time; a function of the module, so that a scan outside jit is compiled once."""
+    reward, discount = step
+    return reward + discount * value, None
 
 
 def _pick(q: Array, action: Array) -> Array:

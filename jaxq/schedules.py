@@ -10,14 +10,14 @@ from jaxq.types import Array
 def linear(count: Array, start: Array, end: Array, horizon: Array) -> Array:
     """Straight line from ``start`` at count 0 to ``end`` at ``horizon``, then constant.
 
-    s = start + (end - start) min(count / horizon, 1). Shapes: all [] -> []. A horizon of 0 gives ``end``.
+    s = start (1 - f) + end f, f = min(count / horizon, 1). Shapes: all [] -> []. A horizon of 0 gives ``end``.
 
     >>> float(linear(jnp.array(5), 1.0, 0.0, 10))
     0.5
     """
     horizon = jnp.asarray(horizon, jnp.result_type(float))
     fraction = jnp.where(horizon > 0, jnp.minimum(count / jnp.where(horizon > 0, horizon, 1), 1), 1)
-    return start + (end - start) * fraction
+    return start * (1 - fraction) + end * fraction  # exact at both ends
 
 
 def exponential(count: Array, start: Array, end: Array, scale: Array) -> Array:

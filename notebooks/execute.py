@@ -1,6 +1,6 @@
 """Runs the notebooks of this folder in place, so that what they show is what this code does.
 
-    python notebooks/execute.py [NAME ...]
+python notebooks/execute.py [NAME ...]
 """
 
 import sys

@@ -86,7 +86,7 @@ def test_the_same_sweep_again_is_refused_and_resumed_to_the_same_rows(swept, cap
 
 
 def test_fewer_lanes_in_another_process_give_the_same_rows(swept, capsys):
-    run, out, _ = swept
+    _, out, _ = swept
     status, first = sweep_json(capsys, "q-learning", "--gamma", "0.9", "--seeds", "3", "--out", "copy", *SHORT)
     wanted = [row for row in out["lanes"] if row["config"] == 0 and row["seed"] < 3]
     assert (status, first["lanes"]) == (0, wanted)  # fewer lanes, other neighbours, another process: the same bits

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from jaxq import lanes as engine
 from jaxq import executables, prng, programs
+from jaxq import lanes as engine
 from jaxq.plans import plan
 from jaxq.tally import Lane
 

@@ -15,7 +15,10 @@ from hypothesis.extra import numpy as hnp
 from jaxq import rules
 
 BOTH = pytest.mark.parametrize("through", [lambda f: f, jax.jit], ids=["plain", "jit"])
-numbers = st.floats(-1e3, 1e3, width=32)
+#: XLA on a CPU takes subnormal numbers for 0, NumPy does not.
+numbers = st.floats(-1e3, 1e3, width=32, allow_subnormal=False)
+discounts = st.floats(0, 1, width=32, allow_subnormal=False)
+N_STEP_RETURN = jax.jit(rules.n_step_return)
 
 
 def rows(actions=4):
@@ -54,7 +57,7 @@ def test_rules_give_the_numbers_worked_by_hand(through, rule, arguments, expecte
 
 
 @settings(max_examples=50, deadline=None)
-@given(rows(), rows(), st.integers(0, 3), numbers, st.floats(0, 1, width=32))
+@given(rows(), rows(), st.integers(0, 3), numbers, discounts)
 def test_q_learning_is_the_td_error_of_the_greedy_value(q_tm1, q_t, action, reward, discount):
     value = rules.greedy_value(q_t)
     assert value == q_t.max()
@@ -79,10 +82,11 @@ def test_double_value_with_one_array_is_the_greedy_value_and_never_above_it(q_t,
 
 
 @settings(max_examples=50, deadline=None)
-@given(rows(), st.integers(0, 3), numbers, st.floats(0, 1, width=32), numbers)
+@given(rows(), st.integers(0, 3), numbers, discounts, numbers)
 def test_a_return_of_one_step_is_the_one_step_target(q_tm1, action, reward, discount, value):
-    target = rules.n_step_return(np.array([reward]), np.array([discount]), value)
-    error = rules.td_error(q_tm1, action, np.float32(reward), np.float32(discount), np.float32(value))
+    reward, discount, value = np.float32(reward), np.float32(discount), np.float32(value)
+    target = N_STEP_RETURN(reward[None], discount[None], value)
+    error = rules.td_error(q_tm1, action, reward, discount, value)
     np.testing.assert_allclose(target - q_tm1[action], error, rtol=1e-6, atol=1e-3)
 
 
@@ -91,14 +95,14 @@ def test_a_return_of_one_step_is_the_one_step_target(q_tm1, action, reward, disc
 def test_an_n_step_return_equals_a_loop_in_numpy(length, seed):
     rng = np.random.default_rng(seed)
     rewards, value = rng.normal(size=length), rng.normal()
-    discounts = 0.99 * (rng.random(length) < 0.8)
+    gammas = 0.99 * (rng.random(length) < 0.8)
     expected, weight = 0.0, 1.0
-    for reward, discount in zip(rewards, discounts, strict=True):
+    for reward, discount in zip(rewards, gammas, strict=True):
         expected += weight * reward
         weight *= discount
     expected += weight * value
     with jax.enable_x64(True):
-        result = rules.n_step_return(jnp.asarray(rewards), jnp.asarray(discounts), jnp.asarray(value))
+        result = N_STEP_RETURN(jnp.asarray(rewards), jnp.asarray(gammas), jnp.asarray(value))
         assert result.dtype == np.float64
     np.testing.assert_allclose(result, expected, rtol=1e-12, atol=1e-12)
 

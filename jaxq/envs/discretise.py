@@ -53,10 +53,11 @@ def tutorial_bucket(value: np.ndarray, low: Bound, high: Bound, count: int) -> n
     """The tutorial's bucket of float32 values: clamped ends, half-to-even rounding on a linear scale inside.
 
     b = 0 if s <= low; count - 1 if s >= high; else round((count - 1) / w * s - (count - 1) low / w) with
-    w = high - low. Shapes: value [...] float32 -> [...]. Scale and offset are computed in the precision of the bounds
-    (float32 for ``np.float32``, else float64), the rest in float32, as NumPy does it for a float32 observation.
+    w = high - low. Shapes: value [...] float32 -> [...]. Scale and offset are computed in float32 where the bounds are
+    ``np.float32`` and as Python floats otherwise, the rest in float32, as NumPy does it for a float32 observation.
     """
     value = np.asarray(value, np.float32)
+    low, high = (bound if isinstance(bound, np.float32) else float(bound) for bound in (low, high))
     width = high - low
     scale, offset = np.float32((count - 1) / width), np.float32((count - 1) * low / width)
     inside = np.rint(scale * value - offset)
@@ -66,15 +67,16 @@ def tutorial_bucket(value: np.ndarray, low: Bound, high: Bound, count: int) -> n
 def tutorial_edges(low: Sequence[Bound], high: Sequence[Bound], num_buckets: Sequence[int]) -> tuple[np.ndarray, ...]:
     """The edges of ``tutorial_bucket``: per coordinate the smallest float32 that reaches each bucket but the first.
 
-    Shapes: low, high, num_buckets [D] -> D rows [buckets_i - 1] float32. Raises ValueError unless every low is below
-    its high (as float32), all are finite and every count is at least 1.
+    Shapes: low, high, num_buckets [D] -> D rows [buckets_i - 1] float32. Raises ValueError unless every count is at
+    least 1, every low is below its high as float32, both are within 2^100 of 0 and more than 2^-100 apart.
     """
     rows = []
     for i, (lo, hi, count) in enumerate(zip(low, high, num_buckets, strict=True)):
         if count < 1:
             raise ValueError(f"num_buckets[{i}]: {count} must be at least 1")
-        if not (np.isfinite(lo) and np.isfinite(hi) and np.float32(lo) < np.float32(hi)):
-            raise ValueError(f"bounds[{i}]: low {lo} must be below high {hi}, both finite")
+        scalable = lo > -(2.0**100) and hi < 2.0**100 and hi - lo > 2.0**-100
+        if not (scalable and np.float32(lo) < np.float32(hi)):
+            raise ValueError(f"bounds[{i}]: low {lo} must be below high {hi}, both of a size that float32 can scale")
         rows.append(_bisect(lo, hi, count))
     return tuple(rows)
 

@@ -71,7 +71,7 @@ def train(seed, max_episodes=MAX_EPISODES, max_env_steps=None):
     online, target = network(), network()
     target.load_state_dict(online.state_dict())
     optimiser = torch.optim.AdamW(online.parameters(), lr=LEARNING_RATE, amsgrad=True)
-    memory = collections.deque([], maxlen=CAPACITY)
+    memory = collections.deque(maxlen=CAPACITY)
     lengths, steps, updates = [], 0, 0
     for episode in range(max_episodes):
         observation, _ = env.reset(seed=seed if episode == 0 else None)

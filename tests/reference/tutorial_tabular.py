@@ -40,7 +40,7 @@ def bucket(value, low, high, count):
     if value >= high:
         return count - 1
     width = high - low
-    return int(round((count - 1) / width * value - (count - 1) * low / width))
+    return round((count - 1) / width * value - (count - 1) * low / width)
 
 
 def discretise(observation, bounds, counts=NUM_BUCKETS):
