@@ -26,7 +26,7 @@ def exponential(count: Array, start: Array, end: Array, scale: Array) -> Array:
     s = end + (start - end) exp(-count / scale). Shapes: all [] -> [].
 
     >>> round(float(exponential(jnp.array(1000), 0.9, 0.05, 1000.0)), 6)  # 0.05 + 0.85 / e
-    0.362697
+    0.362698
     """
     return end + (start - end) * jnp.exp(-count / scale)
 
