@@ -17,7 +17,7 @@ from typing import Any
 
 from jaxq import cpu, flags
 from jaxq.flags import COMMANDS, UsageError
-from jaxq.plans import plan
+from jaxq.plans import Plan, plan
 from jaxq.presets import Preset, Settings, preset, presets
 from jaxq.suggest import nearest
 
@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _dispatch(arguments)
     except UsageError as error:
-        print(f"jaxq: error: {error}", file=sys.stderr)
+        print(f"jaxq: error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_USAGE
     except BrokenPipeError:  # the reader of stdout has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -49,9 +49,10 @@ def _dispatch(arguments: list[str]) -> int:
         return _list()
     if command not in COMMANDS:
         raise UsageError(f"command {command!r} is unknown{nearest(command, COMMANDS)}")
-    if not rest or rest[0].startswith("-"):
-        flags.preset_overview(command).parse_args(rest or ["--help"])
-        return EXIT_USAGE if not rest else EXIT_OK
+    if not rest:
+        raise UsageError(f"jaxq {command} needs a preset: {', '.join(p.name for p in presets())}")
+    if rest[0].startswith("-"):
+        flags.preset_overview(command).parse_args(rest)
     try:
         chosen = preset(rest[0])
     except ValueError as error:
@@ -90,6 +91,16 @@ def _run(command: str, chosen: Preset, options: argparse.Namespace) -> int:
         print(f"{len(planned.settings)} settings x {len(planned.seeds)} seeds = {planned.lanes} lanes")
         print(f"{planned.programs} programs")
         return EXIT_OK
+    stop = threading.Event()
+    before = _on_interrupt(stop, options.quiet)  # ahead of the import of jax, which takes a second
+    try:
+        return _with_directory(command, planned, options, stop)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _with_directory(command: str, planned: Plan, options: argparse.Namespace, stop: threading.Event) -> int:
     cpu.tune()
     from jaxq.runs import Locked, RunDirectory, RunError
 
@@ -97,7 +108,7 @@ def _run(command: str, chosen: Preset, options: argparse.Namespace) -> int:
     path = options.out or Path("runs") / name
     try:
         with RunDirectory.open(path, planned, resume=options.resume, overwrite=options.overwrite) as directory:
-            return _sweep(command, planned, directory, options)
+            return _sweep(command, planned, directory, options, stop)
     except Locked as error:
         print(f"jaxq: error: {error}", file=sys.stderr)
         return EXIT_LOCKED
@@ -105,12 +116,10 @@ def _run(command: str, chosen: Preset, options: argparse.Namespace) -> int:
         raise UsageError(str(error)) from None
 
 
-def _sweep(command: str, planned: Any, directory: Any, options: argparse.Namespace) -> int:
+def _sweep(command: str, planned: Plan, directory: Any, options: argparse.Namespace, stop: threading.Event) -> int:
     from jaxq import sweeps
     from jaxq.progress import Display
 
-    stop = threading.Event()
-    before = _on_interrupt(stop, options)
     episodes = _episode_printer(planned.settings[0]) if command == "train" and options.verbose else None
     kept: list[Any] = []
     with Display(planned, show=not (options.quiet or options.no_progress), talk=not options.quiet) as display:
@@ -137,7 +146,6 @@ def _sweep(command: str, planned: Any, directory: Any, options: argparse.Namespa
             on_result=on_result,
             stop=stop,
         )
-    signal.signal(signal.SIGINT, before)
     if not outcome.complete:
         if not options.quiet:
             print(
@@ -151,17 +159,20 @@ def _sweep(command: str, planned: Any, directory: Any, options: argparse.Namespa
     return EXIT_FAILED if hopeless else EXIT_OK
 
 
-def _on_interrupt(stop: threading.Event, options: argparse.Namespace) -> Any:
-    """First Ctrl-C: finish the segment and keep what ended. Second: leave at once; what was written stays."""
+def _on_interrupt(stop: threading.Event, quiet: bool) -> dict[int, Any]:
+    """First Ctrl-C or SIGTERM: finish the segment and keep what ended. Second: leave at once; what was written stays.
+
+    Returns the handlers that were there before.
+    """
 
     def handle(number: int, frame: object) -> None:
         if stop.is_set():
             os._exit(EXIT_INTERRUPTED)
         stop.set()
-        if not options.quiet:
+        if not quiet:
             print("stopping after this segment; once more to stop at once", file=sys.stderr)
 
-    return signal.signal(signal.SIGINT, handle)
+    return {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
 
 
 def _episode_printer(settings: Settings) -> Callable[[Any], None]:
@@ -178,8 +189,6 @@ def _episode_printer(settings: Settings) -> Callable[[Any], None]:
 
 
 def _print(command: str, outcome: Any, directory: Any, kept: list[Any], options: argparse.Namespace) -> None:
-    from rich.console import Console
-
     from jaxq import report
 
     summary = outcome.summary()
@@ -187,14 +196,14 @@ def _print(command: str, outcome: Any, directory: Any, kept: list[Any], options:
     if options.json:
         print(json.dumps({"lanes": outcome.lanes, "summary": summary, "timing": outcome.timing.rows()}))
     else:
-        console = Console(width=None if sys.stdout.isatty() else 160)
         if command == "train" and kept and hasattr(kept[0].lane.hypers.agent, "alpha_min"):
             print("final Q-table")
             print(report.q_table(kept[0].policy, outcome.plan.settings[0].num_buckets))
-        console.print(report.settings_table(summary, outcome.plan.varied))
+        print(report.settings_table(summary, outcome.plan.varied, color=sys.stdout.isatty()))
+    for picture in pictures:
+        print(picture, file=sys.stderr if options.json else sys.stdout)
+    sys.stdout.flush()
     if not options.quiet:
-        for picture in pictures:
-            print(picture, file=sys.stdout if not options.json else sys.stderr)
         print(f"rows, policies and manifest: {directory.path}", file=sys.stderr)
 
 

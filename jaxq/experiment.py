@@ -72,7 +72,7 @@ def experiment(
     steps_per_round: int = 1,
     warm_up_steps: int = 0,
     eval_episodes: int = 10,
-    eval_steps: int = 500,
+    eval_steps: int = 10**6,
     impl: str = "threefry",
 ) -> Experiment:
     """A training of what ``make_agent(hypers.agent, env)`` learns on ``make_env(hypers.env)``.
@@ -80,7 +80,8 @@ def experiment(
     One segment is ``rounds`` rounds of ``steps_per_round`` steps of ``num_envs`` environments and one update. Before
     the first round the agent acts, without learning, until ``warm_up_steps`` transitions less one round are stored, so
     that the first update sees at least ``warm_up_steps``. ``hypers.run`` is a Limits; ``impl`` is the family of the
-    keys. Raises ValueError for a count below 1 (``warm_up_steps`` below 0).
+    keys. Evaluation plays ``eval_episodes`` whole episodes, cut at ``eval_steps`` where an environment does not end
+    them itself. Raises ValueError for a count below 1 (``warm_up_steps`` below 0).
     """
     counts = {"rounds": rounds, "num_envs": num_envs, "steps_per_round": steps_per_round}
     counts |= {"eval_episodes": eval_episodes, "eval_steps": eval_steps, "warm_up_steps": warm_up_steps + 1}
@@ -167,15 +168,18 @@ def greedy_returns(key: Key, env: Env, q_values: Callable[[Any], Array], episode
     def one(key: Key) -> Array:
         reset_key, step_key = jax.random.split(key)
 
-        def body(carry: tuple[Any, Array, Array], t: Array) -> tuple[tuple[Any, Array, Array], None]:
-            state, total, going = carry
+        def goes_on(carry: tuple[Any, Array, Array, Array]) -> Array:
+            return (carry[2] > 0) & (carry[3] < max_steps)
+
+        def body(carry: tuple[Any, Array, Array, Array]) -> tuple[Any, Array, Array, Array]:
+            state, total, going, t = carry
             action = policies.greedy(q_values(env.observe(state)))
             state, happened = env.step(jax.random.fold_in(step_key, t), state, action)
-            total = total + going * happened.reward.astype(jnp.float32)
-            return (state, total, going * ~(happened.terminated | happened.truncated)), None
+            total = total + happened.reward.astype(jnp.float32)
+            return state, total, going * ~(happened.terminated | happened.truncated), t + 1
 
-        start = (env.reset(reset_key), jnp.zeros((), jnp.float32), jnp.ones((), jnp.float32))
-        return jax.lax.scan(body, start, jnp.arange(max_steps))[0][1]
+        start = (env.reset(reset_key), jnp.zeros((), jnp.float32), jnp.ones((), jnp.float32), jnp.zeros((), jnp.int32))
+        return jax.lax.while_loop(goes_on, body, start)[1]
 
     return jax.vmap(one)(jax.random.split(key, episodes))
 
@@ -216,10 +220,13 @@ def _rollout(
         )
         over = experience.cut_t
         length, total = state.length + 1, state.total + happened.reward.astype(jnp.float32)
-        judged = state.success
-        for n in range(num_envs):
-            judged, met = success.update(judged, over[n], length[n], limits)
-            solved = solved | met
+        judged, met = jax.lax.scan(
+            lambda held, episode: success.update(held, *episode, limits),
+            state.success,
+            (over, length),
+            unroll=num_envs == 1,
+        )
+        solved = solved | jnp.any(met)
         clock = state.clock._replace(
             env_steps=state.clock.env_steps + live * num_envs,
             episodes=state.clock.episodes + live * jnp.sum(over, dtype=jnp.int32),

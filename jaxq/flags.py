@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import difflib
+import re
 from pathlib import Path
 from typing import Any, NoReturn, get_origin
 
@@ -26,8 +28,29 @@ class UsageError(Exception):
 class Parser(argparse.ArgumentParser):
     """argparse with one-line errors and suggestions."""
 
+    # argparse takes -1e-3, -inf and -nan for flags unless told otherwise.
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = re.compile(r"^-(\d|\.\d|inf|nan)")
+
     def error(self, message: str) -> NoReturn:
         raise UsageError(message)
+
+
+class Once(argparse.Action):
+    """Stores a value and refuses a second one, where argparse would let the last one win."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        if getattr(namespace, self.dest) is not None:
+            raise UsageError(f"{option_string} stands twice; several values follow one flag")
+        setattr(namespace, self.dest, values)
+
+
+def directory(text: str) -> Path:
+    """A path that is not empty."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("'' is not a directory")
+    return Path(text)
 
 
 def overview() -> argparse.ArgumentParser:
@@ -71,7 +94,7 @@ def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
     run.add_argument("--seed", type=int, default=0, help="root of all randomness (default 0)", metavar="N")
     run.add_argument("--prng", default=None, help=f"key family (default {chosen.prng})", metavar="NAME")
     run.add_argument(
-        "--out", type=Path, default=None, help="run directory (default runs/<preset>-<hash>)", metavar="DIR"
+        "--out", type=directory, default=None, help="run directory (default runs/<preset>-<hash>)", metavar="DIR"
     )
     run.add_argument("--resume", action="store_true", help="finish the sweep that the run directory holds")
     run.add_argument("--overwrite", action="store_true", help="replace the run directory")
@@ -96,7 +119,12 @@ def parse(command: str, chosen: Preset, words: list[str]) -> argparse.Namespace:
     if unknown:
         known = [flag for action in made._actions for flag in action.option_strings]
         stray = next((word for word in unknown if word.startswith("-")), unknown[0]).split("=")[0]
-        raise UsageError(f"{stray} is unknown to jaxq {command} {chosen.name}{nearest(stray, known)}")
+        if not stray.startswith("--") or stray == "--":
+            raise UsageError(
+                f"{stray} stands alone: what flag does it belong to? (jaxq train takes one value per flag)"
+            )
+        near = nearest(stray, known) if difflib.get_close_matches(stray, known) else "; --help lists the flags"
+        raise UsageError(f"{stray} is unknown to jaxq {command} {chosen.name}{near}")
     return options
 
 
@@ -106,9 +134,9 @@ def _add_flag(group: Any, name: str, info: FieldInfo, default: Any, several: boo
     flag = f"--{name.replace('_', '-')}"
     metavar = "true|false" if info.annotation is bool else "VALUE"
     if several:
-        group.add_argument(flag, nargs="+", default=None, help=text, metavar=metavar, dest=f"set_{name}")
+        group.add_argument(flag, action=Once, nargs="+", default=None, help=text, metavar=metavar, dest=f"set_{name}")
     else:
-        group.add_argument(flag, default=None, help=text, metavar=metavar, dest=f"set_{name}")
+        group.add_argument(flag, action=Once, default=None, help=text, metavar=metavar, dest=f"set_{name}")
 
 
 def given_values(chosen: Preset, options: argparse.Namespace) -> dict[str, Any]:
@@ -119,5 +147,5 @@ def given_values(chosen: Preset, options: argparse.Namespace) -> dict[str, Any]:
         if raw is not None:
             words = raw if isinstance(raw, list) else [raw]
             is_tuple = get_origin(info.annotation) is tuple
-            given[name] = [tuple(word.split(",")) if is_tuple else word for word in words]
+            given[name] = [tuple(word.split(",") if word else ()) if is_tuple else word for word in words]
     return given

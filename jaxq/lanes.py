@@ -15,7 +15,8 @@ from __future__ import annotations
 import os
 import queue
 import threading
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -28,6 +29,9 @@ from jaxq import prng
 from jaxq.executables import Executables
 from jaxq.tally import Lane, Result, Slot, absorb
 from jaxq.types import Hypers, PyTree
+
+#: Ended lanes wait for company, so that a whole group is evaluated at once, but no longer than this.
+WAIT_SECONDS = 1.0
 
 STATUS = {runs.SOLVED: "solved", runs.FINISHED: "finished", runs.DIVERGED: "diverged"}
 
@@ -61,7 +65,7 @@ def run(
     keep_max_q: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """Yields each lane's Result as it ends, in no fixed order.
 
     ``total`` is the number of lanes, for the progress. ``stop`` set: every worker finishes its segment, hands on what
@@ -140,12 +144,13 @@ class _Worker:
         self.hypers: Hypers | None = None
         self.state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), built.empty)
         self.waiting: list[tuple[Slot, str, PyTree]] = []  # ended, not yet evaluated
+        self.since = 0.0  # when the first of them ended
 
     def run(self) -> None:
         try:
             while self._refill():
                 self._advance()
-                if len(self.waiting) >= self.width:
+                if len(self.waiting) >= self.width or (self.waiting and time.monotonic() - self.since > WAIT_SECONDS):
                     self._hand_on()
                 if self.shared.stopping():
                     break
@@ -175,15 +180,20 @@ class _Worker:
         steps, updates = self._absorb(log, np.array([slot is not None for slot in self.slots]))
         status = np.asarray(self.state.status)
         ended = [i for i, slot in enumerate(self.slots) if slot is not None and status[i] != runs.RUNNING]
+        names: list[str] = []
         if ended:
             policies = jax.tree.map(np.asarray, self.built.policy(self.state, self.hypers))
             for i in ended:
                 slot = self.slots[i]
                 assert slot is not None
                 policy = jax.tree.map(partial(_row, i), policies)
-                self.waiting.append((slot, STATUS[int(status[i])], policy))
+                # A last update may blow up after its loss was taken.
+                finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(policy))
+                names.append(STATUS[int(status[i])] if finite else "diverged")
+                if not self.waiting:
+                    self.since = time.monotonic()
+                self.waiting.append((slot, names[-1], policy))
                 self.slots[i] = None
-        names = [STATUS[int(status[i])] for i in ended]
         share = sum(slot.share() for slot in self.slots if slot is not None)
         self.shared.count(id(self), share, steps, updates, names)
 

@@ -63,7 +63,7 @@ def plan(name: str, *, seeds: int = 1, root_seed: int = 0, prng: str | None = No
     Raises ValueError that names the field, the value and what is allowed.
     """
     base = preset(name)
-    family = prng or base.prng
+    family = base.prng if prng is None else prng
     if family not in FAMILIES:
         raise ValueError(f"prng: {family!r} is unknown{nearest(family, FAMILIES)}")
     if isinstance(seeds, bool) or not isinstance(seeds, int) or not 1 <= seeds <= MAX_SEEDS:
@@ -75,8 +75,7 @@ def plan(name: str, *, seeds: int = 1, root_seed: int = 0, prng: str | None = No
         if not points:
             raise ValueError(f"{axis}: [] is not allowed: at least one value")
     settings = tuple(settle(base, **dict(zip(axes, point, strict=True))) for point in itertools.product(*axes.values()))
-    for one in settings:
-        if settings.count(one) > 1:
-            raise ValueError(f"{', '.join(axes)}: a value stands twice")
+    if len(set(settings)) < len(settings):
+        raise ValueError(f"{', '.join(axes)}: a value stands twice")
     varied = tuple(axis for axis, points in axes.items() if len(points) > 1)
     return Plan(base, settings, varied, tuple(range(seeds)), root_seed, family)

@@ -69,7 +69,8 @@ def learning_curves(lanes: Sequence[Row], curves: Sequence[Row], labels: dict[in
         times = np.sort([row["solved_at_step"] for row in rows if row["solved_at_step"] is not None])
         solved = np.searchsorted(times, grid, side="right") / len(rows)
         right.step(grid, solved, where="post", color=color, label=labels[config])
-    left.legend(frameon=False, fontsize="small")
+    if left.has_data():
+        left.legend(frameon=False, fontsize="small")
     return figure
 
 

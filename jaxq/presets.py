@@ -18,6 +18,7 @@ from jaxq.suggest import nearest
 NO_LIMIT = 2**31 - 1
 
 Probability = {"ge": 0.0, "le": 1.0}
+Scale = {"ge": 1e-6, "le": 1e6}
 
 
 def number(default: Any, help: str, **allowed: Any) -> Any:
@@ -45,6 +46,15 @@ class Settings(BaseModel):
         """The fields that shape the program, a key for grouping settings by program."""
         return tuple((name, getattr(self, name)) for name in type(self).model_fields if self.is_structure(name))
 
+    @model_validator(mode="after")
+    def _float32(self) -> Settings:
+        """Numbers are float32 in the program: too large is infinite there, too small is 0."""
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            if isinstance(value, float) and value != 0 and not 1e-37 < abs(value) < 1e38:
+                raise ValueError(f"{name}: {value} is not allowed: 0, or a size from 1e-37 to 1e38")
+        return self
+
 
 class TabularSettings(Settings):
     """Tabular Q-learning on the discretised CartPole, under the tutorial's names."""
@@ -55,15 +65,15 @@ class TabularSettings(Settings):
     alpha_max: float = number(0.5, "greatest step size", **Probability)
     decay_coeff: float = number(25.0, "episodes before epsilon and alpha start to fall", gt=0)
     gamma: float = number(0.99, "discount", **Probability)
-    initial_value: float = number(0.0, "value of every cell of the table at the start")
+    initial_value: float = number(0.0, "value of every cell of the table at the start", ge=-1e6, le=1e6)
     max_episodes: int = number(5000, "episodes after which a lane ends", ge=1, le=NO_LIMIT)
     max_steps: int = number(500, "steps after which an episode is truncated", ge=1, le=NO_LIMIT)
     success_steps: int = number(450, "0-based step an episode must reach to count as a success", ge=0, le=NO_LIMIT)
     success_streak: int = number(50, "solved after more than this many successes in a row", ge=0, le=NO_LIMIT)
-    position_bound: float = number(4.8, "m: positions are bucketed between minus and plus this", gt=0)
-    velocity_bound: float = number(0.5, "m/s: likewise for velocities", gt=0)
-    angle_bound: float = number(2 * 12 * 2 * math.pi / 360, "rad: likewise for pole angles", gt=0)
-    angular_velocity_bound: float = number(math.radians(50), "rad/s: likewise for pole velocities", gt=0)
+    position_bound: float = number(4.8, "m: positions are bucketed between minus and plus this", **Scale)
+    velocity_bound: float = number(0.5, "m/s: likewise for velocities", **Scale)
+    angle_bound: float = number(2 * 12 * 2 * math.pi / 360, "rad: likewise for pole angles", **Scale)
+    angular_velocity_bound: float = number(math.radians(50), "rad/s: likewise for pole velocities", **Scale)
     num_buckets: tuple[int, int, int, int] = structure((1, 1, 6, 3), "buckets per coordinate, as 1,1,6,3")
     bootstrap_terminal: bool = structure(False, "bootstrap through the terminal state, as the tutorial's update does")
 
@@ -117,6 +127,8 @@ class DQNSettings(Settings):
             raise ValueError(
                 f"learning_starts: {self.learning_starts} must not be above buffer_size ({self.buffer_size})"
             )
+        if self.batch_size > self.buffer_size:
+            raise ValueError(f"batch_size: {self.batch_size} must not be above buffer_size ({self.buffer_size})")
         if not self.replacement and self.batch_size > self.learning_starts:
             raise ValueError(
                 f"batch_size: {self.batch_size} must not be above learning_starts ({self.learning_starts})"
@@ -204,6 +216,8 @@ def _one_line(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in first["loc"])
     message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "missing":  # of a tuple: pydantic names the first index that is not there
+        return f"{first['loc'][0]}: {','.join(map(str, first['input']))} is not allowed: too few values"
     if not where:
         return message
     return f"{where}: {first['input']} is not allowed: {message[0].lower()}{message[1:]}"

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 
 import numpy as np
 from rich import box
+from rich.console import Console
 from rich.table import Table
 
 from jaxq.tables import Row
 
 
-def settings_table(summary: Sequence[Row], varied: Sequence[str]) -> Table:
-    """One line per setting: seeds, solved share, times to success, returns, each with its 95 % interval."""
+def settings_table(summary: Sequence[Row], varied: Sequence[str], *, color: bool = False) -> str:
+    """One line of text per setting: seeds, solved share, times to success, returns, each with its 95 % interval."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     headings = [*varied, "seeds", "solved", "episodes", "env steps", "final return", "greedy return"]
     if any(row["diverged"] for row in summary):
@@ -37,7 +39,10 @@ def settings_table(summary: Sequence[Row], varied: Sequence[str]) -> Table:
         " 50 episodes; returns are interquartile means; brackets: 95 % intervals"
     )
     table.caption_justify = "left"
-    return table
+    console = Console(file=io.StringIO(), width=200, force_terminal=color)
+    with console.capture() as text:
+        console.print(table)
+    return text.get().rstrip()
 
 
 def q_table(values: np.ndarray, num_buckets: Sequence[int]) -> str:

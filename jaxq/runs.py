@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
@@ -64,12 +65,13 @@ class RunDirectory:
         Raises RunError when it exists and neither ``resume`` nor ``overwrite`` is given, when it cannot be made, or
         when it was made for another plan; Locked when another process has it.
         """
-        existing = path / "manifest.json"
-        if path.exists() and not (resume or overwrite):
-            raise RunError(f"{path}: exists; add --resume to finish it or --overwrite to replace it")
-        if path.exists() and overwrite and not existing.exists() and any(path.iterdir()):
-            raise RunError(f"{path}: is not a run directory, so it is not overwritten")
         try:
+            occupied = path.exists() and (not path.is_dir() or any(path.iterdir()))
+            if occupied and not (resume or overwrite):
+                raise RunError(f"{path}: exists; add --resume to finish it or --overwrite to replace it")
+            if occupied and overwrite and not _is_run(path):
+                raise RunError(f"{path}: is not a run directory, so it is not overwritten")
+            found = _read_manifest(path / "manifest.json") if occupied and not overwrite else None
             path.mkdir(parents=True, exist_ok=True)
             lock = filelock.FileLock(path / "lock")
             lock.acquire(timeout=0)
@@ -78,12 +80,12 @@ class RunDirectory:
         except OSError as error:
             raise RunError(f"{path}: {error.strerror}") from None
         try:
-            if resume and existing.exists():
-                manifest = _read_manifest(existing)
-                if manifest.get("spec_hash") != plan.hash():
-                    raise RunError(f"{path}: was made for another sweep; choose another --out")
-                return cls(path, manifest, lock)
-            for part in [*path.glob("parts/*"), *path.glob("policies/*"), *path.glob("*.png")]:
+            if found is not None:
+                _same(path, found, {"spec_hash": plan.hash(), **_machine()})
+                run = cls(path, found, lock)
+                run._remove_uncommitted()
+                return run
+            for part in _own_files(path):
                 part.unlink()
             manifest = {"format": FORMAT, "spec_hash": plan.hash(), "spec": plan.spec(), **_machine(), "parts": {}}
             run = cls(path, manifest, lock)
@@ -91,6 +93,9 @@ class RunDirectory:
             (path / "policies").mkdir(exist_ok=True)
             run._write_manifest()
             return run
+        except OSError as error:
+            lock.release()
+            raise RunError(f"{path}: {error.strerror}") from None
         except BaseException:
             lock.release()
             raise
@@ -108,8 +113,26 @@ class RunDirectory:
         policies: dict[tuple[int, int], dict[str, np.ndarray]],
         episodes: Sequence[Row] = (),
     ) -> None:
-        """Adds a batch of lanes that ended."""
-        number = 1 + max((int(name[:5]) for name in self.manifest["parts"]), default=-1)
+        """Adds a batch of lanes that ended. Raises RunError when it cannot be written."""
+        try:
+            self._write(lanes, curves, policies, episodes)
+        except OSError as error:
+            raise RunError(f"{self.path}: {error.strerror}") from None
+
+    def note(self, **facts: Any) -> None:
+        """Adds facts to the manifest."""
+        self.manifest |= facts
+        self._write_manifest()
+
+    def _write(
+        self,
+        lanes: Sequence[Row],
+        curves: Sequence[Row],
+        policies: dict[tuple[int, int], dict[str, np.ndarray]],
+        episodes: Sequence[Row],
+    ) -> None:
+        # From the files, not the manifest: a kill between a commit and the manifest must not reuse its number.
+        number = 1 + max((int(file.name[:5]) for file in _own_files(self.path) if _BATCH.match(file.name)), default=-1)
         tensors = {
             f"{config}/{seed}/{name}": np.ascontiguousarray(array)
             for (config, seed), arrays in policies.items()
@@ -128,7 +151,23 @@ class RunDirectory:
 
     def rows(self, kind: str) -> list[Row]:
         """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``."""
+        for name in self.manifest["parts"]:
+            if name.endswith(f"-{kind}.parquet"):
+                self._verify(name)
         return read_rows(self.path, kind)
+
+    def _verify(self, name: str) -> None:
+        file = self.path / "parts" / name
+        if not file.exists() or hashlib.sha256(file.read_bytes()).hexdigest() != self.manifest["parts"][name]:
+            raise RunError(f"{file}: is damaged; start again with --overwrite")
+
+    def _remove_uncommitted(self) -> None:
+        """Drops what a kill left of a batch before its commit."""
+        committed = {file.name[:5] for file in (self.path / "parts").glob("*-lanes.parquet")}
+        for file in _own_files(self.path):
+            if _BATCH.match(file.name) and file.name[:5] not in committed:
+                file.unlink()
+        self.manifest["parts"] = {k: v for k, v in self.manifest["parts"].items() if k[:5] in committed}
 
     def _replace(self, name: str, data: bytes) -> None:
         target = self.path / name
@@ -164,14 +203,45 @@ def flatten(policy: Any) -> dict[str, np.ndarray]:
     return {"": np.asarray(policy)}
 
 
+_BATCH = re.compile(r"\d{5}(-(lanes|curves|episodes)\.parquet|\.safetensors)$")
+_PICTURES = {"learning_curves.png", "q_values.png", "episodes.png"}
+
+
+def _own_files(path: Path) -> list[Path]:
+    """What a run writes, by name; nothing else in the directory is ever touched."""
+    batches = [
+        file for folder in ("parts", "policies") for file in (path / folder).glob("*") if _BATCH.match(file.name)
+    ]
+    return [file for file in [*batches, *(path / name for name in _PICTURES)] if file.is_file()]
+
+
+def _is_run(path: Path) -> bool:
+    """Whether the directory was made by a run: a manifest that says so, or nothing in it but a run's files."""
+    try:
+        _read_manifest(path / "manifest.json")
+        return True
+    except RunError:
+        files = {file for file in path.rglob("*") if file.is_file()}
+        return path.is_dir() and files <= {*_own_files(path), path / "manifest.json", path / "lock"}
+
+
 def _read_manifest(path: Path) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text())
     except (OSError, ValueError):
-        raise RunError(f"{path}: cannot be read; start again with --overwrite") from None
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise RunError(f"{path}: is not a manifest of this version; start again with --overwrite")
+        raise RunError(f"{path}: cannot be read; choose another --out") from None
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or "spec_hash" not in manifest:
+        raise RunError(f"{path}: is not a manifest of this version; choose another --out")
     return manifest
+
+
+def _same(path: Path, found: dict[str, Any], here: dict[str, Any]) -> None:
+    """Refuses to mix results: the bits of a lane depend on all of these."""
+    if found["spec_hash"] != here["spec_hash"]:
+        raise RunError(f"{path}: was made for another sweep; choose another --out")
+    for name, value in here.items():
+        if found.get(name) != value:
+            raise RunError(f"{path}: was made with {name} {found.get(name)}, this is {value}; choose another --out")
 
 
 def _table(kind: str, rows: Sequence[Row]) -> pa.Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +19,7 @@ from jaxq.tables import Row
 from jaxq.tally import Lane, Result
 
 #: Results are written once this many have gathered or this many seconds have passed.
-BATCH_LANES, BATCH_SECONDS = 512, 5.0
+BATCH_LANES, BATCH_SECONDS = 512, 2.0
 
 
 @dataclass
@@ -55,7 +56,7 @@ class Outcome:
     @property
     def complete(self) -> bool:
         """Whether every lane has a row."""
-        return len(self.lanes) == self.plan.lanes
+        return len({(row["config"], row["seed"]) for row in self.lanes}) == self.plan.lanes
 
     def summary(self) -> list[Row]:
         """One row per setting: see ``tables.summary``."""
@@ -86,7 +87,11 @@ def run(
     have = {(row["config"], row["seed"]) for row in outcome.lanes}
     sink = _Sink(directory, outcome, keep_episodes)
     groups = _by_structure(planned, have)
-    overall = Progress(planned.lanes, done=len(have), solved=sum(row["status"] == "solved" for row in outcome.lanes))
+    overall = Progress(planned.lanes, done=len(have))
+    overall.solved, overall.diverged = (
+        sum(row["status"] == status for row in outcome.lanes) for status in ("solved", "diverged")
+    )
+    widths: list[int] = []
     try:
         for i, group in enumerate(groups):
             if stop.is_set():
@@ -97,6 +102,9 @@ def run(
             built = executables.build(program(example, planned.prng), hypers(example), planned.prng)
             outcome.timing.compile_s += built.seconds
             outcome.timing.programs += 1
+            widths.append(built.program.width)
+            if directory is not None:
+                directory.note(widths=widths)
             began = time.perf_counter()
             base = Progress(**vars(overall))
 
@@ -104,6 +112,7 @@ def run(
                 for name in ("done", "solved", "diverged", "env_steps", "updates"):
                     setattr(overall, name, getattr(base, name) + getattr(progress, name))
                 overall.share = base.done + progress.share
+                sink.flush_if_due()
                 if on_progress:
                     on_progress(overall)
 
@@ -118,10 +127,11 @@ def run(
                 on_progress=report,
                 stop=stop,
             )
-            for result in results:
-                sink.add(result)
-                if on_result:
-                    on_result(result)
+            with contextlib.closing(results):  # its workers stop even when a write fails here
+                for result in results:
+                    sink.add(result)
+                    if on_result:
+                        on_result(result)
             outcome.timing.run_s += time.perf_counter() - began
     finally:
         sink.flush()
@@ -189,13 +199,17 @@ class _Sink:
             self.episodes += tables.episode_rows(result)
         named = {name or "table": array for name, array in flatten(result.policy).items()}
         self.policies[result.lane.config, result.lane.seed] = named
+        self.flush_if_due()
+
+    def flush_if_due(self) -> None:
         if len(self.lanes) >= BATCH_LANES or time.monotonic() - self.since > BATCH_SECONDS:
             self.flush()
 
     def flush(self) -> None:
-        if self.lanes:
+        lanes, curves, policies, episodes = self.lanes, self.curves, self.policies, self.episodes
+        self._clear()  # first, so that a write that fails is not tried again under another number
+        if lanes:
             if self.directory is not None:
-                self.directory.write(self.lanes, self.curves, self.policies, self.episodes)
-            self.outcome.lanes += self.lanes
-            self.outcome.curves += self.curves
-        self._clear()
+                self.directory.write(lanes, curves, policies, episodes)
+            self.outcome.lanes += lanes
+            self.outcome.curves += curves

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +154,16 @@ def test_a_setting_whose_lanes_all_diverge_is_exit_1_and_said(capsys):
         (["sweep", "article-p"], "did you mean 'article-q'"),
         (["sweep", "article-q", "--gama", "0.9"], "did you mean '--gamma'"),
         (["sweep", "article-q", "--gamma"], "--gamma"),
+        (["sweep", "article-q", "--gamma", "0.9", "--gamma", "0.8"], "--gamma stands twice"),
+        (["sweep", "article-q", "--epsilon-min", "-1e-3"], "epsilon_min: -1e-3"),
+        (["sweep", "article-q", "--epsilon-min", "-inf"], "epsilon_min: -inf"),
+        (["sweep", "article-q", "--gamma", "0.9\n0.8"], "gamma"),
+        (["sweep", "article-q", "--position-bound", "1e-300"], "position_bound"),
+        (["sweep", "article-q", "--num-buckets", "1,1,6"], "too few"),
+        (["sweep", "article-q", "--out", ""], "not a directory"),
+        (["sweep", "article-q", "--prng", ""], "prng"),
+        (["sweep", "article-q", "--out", "x" * 300], "File name too long"),
+        (["sweep"], "article-q"),
         (["sweep", "article-q", "--prng", "mt19937"], "threefry, pcg4d"),
         (["sweep", "article-q", "--workers", "0"], "--workers: 0"),
         (["sweep", "article-q", "--resume", "--overwrite"], "--resume"),
@@ -211,8 +220,9 @@ def test_ctrl_c_keeps_what_ended_and_resume_finishes_it():
     assert "--resume" in talk
     kept = [row for part in Path("run/parts").glob("*-lanes.parquet") for row in pq.read_table(part).to_pylist()]
     assert 1 <= len(kept) < 4000
-    time.sleep(0.1)
     assert "Traceback" not in talk
+    seeds = [row["seed"] for row in kept]
+    assert len(set(seeds)) == len(seeds)
 
 
 def test_two_processes_do_not_share_a_directory(capsys):
@@ -245,3 +255,29 @@ def test_the_library_gives_the_rows_of_the_command_line(swept):
     assert (alone.status, alone.env_steps) == (row["status"], row["env_steps"])
     assert alone.max_q is not None
     assert len(alone.max_q) == alone.updates
+
+
+def test_sigterm_keeps_what_ended_as_ctrl_c_does():
+    words = [sys.executable, "-m", "jaxq", "sweep", "article-q", "--seeds", "4000", "--out", "run", "--verbose"]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    process.stderr.readline()
+    process.terminate()
+    _, talk = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "--resume" in talk
+    assert list(Path("run/parts").glob("*-lanes.parquet"))
+
+
+def test_the_greedy_return_is_of_whole_episodes_however_long(capsys):
+    _, out = sweep_json(capsys, "q-learning", "--max-steps", "700", "--seeds", "4", "--success-steps", "600")
+    assert max(row["eval_return"] for row in out["lanes"]) > 500
+
+
+def test_a_last_update_that_blows_up_is_a_divergence(capsys):
+    words = ["article-dqn", *TINY, "--max-env-steps", "32", "--weight-decay", "1e5", "--learning-rate", "1e37"]
+    words.remove("600")
+    words.remove("--max-env-steps")
+    status, out = sweep_json(capsys, *words, "--seeds", "2")
+    assert status == 1
+    assert {(row["status"], row["updates"], row["eval_return"]) for row in out["lanes"]} == {("diverged", 1, None)}

@@ -84,6 +84,86 @@ def test_a_broken_manifest_is_an_error_in_words(tmp_path):
     (tmp_path / "run/manifest.json").write_text("{")
     with pytest.raises(RunError, match=r"manifest\.json: cannot be read"):
         RunDirectory.open(tmp_path / "run", PLAN, resume=True)
+    with RunDirectory.open(tmp_path / "run", PLAN, overwrite=True) as run:  # nothing in it but a run's files
+        assert run.rows("lanes") == []
+
+
+@pytest.mark.parametrize("how", ["resume", "overwrite"])
+@pytest.mark.parametrize("manifest", [None, '{"name": "an app of the web", "format": "x"}'])
+def test_a_directory_of_somebody_else_is_never_touched(tmp_path, how, manifest):
+    theirs = tmp_path / "photos"
+    (theirs / "parts").mkdir(parents=True)
+    (theirs / "policies" / "deep").mkdir(parents=True)
+    files = {theirs / "cat.png": b"meow", theirs / "parts" / "engine.parquet": b"brrr"}
+    if manifest:
+        files[theirs / "manifest.json"] = manifest.encode()
+    for file, data in files.items():
+        file.write_bytes(data)
+    with pytest.raises(RunError):
+        RunDirectory.open(theirs, PLAN, **{how: True})
+    assert {file: file.read_bytes() for file in files} == files
+
+
+def test_overwrite_removes_only_what_a_run_writes(tmp_path):
+    with RunDirectory.open(tmp_path / "run", PLAN) as run:
+        run.write([lane(0)], [], {})
+    (tmp_path / "run" / "notes.txt").write_text("mine")
+    (tmp_path / "run" / "mine.png").write_text("mine")
+    RunDirectory.open(tmp_path / "run", PLAN, overwrite=True).__exit__()
+    assert (tmp_path / "run" / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "run" / "mine.png").read_text() == "mine"
+
+
+def test_a_kill_between_the_commit_and_the_manifest_loses_and_doubles_nothing(tmp_path):
+    with RunDirectory.open(tmp_path / "run", PLAN) as run:
+        run.write([lane(0)], [curve(0)], {})
+        before = (tmp_path / "run/manifest.json").read_bytes()
+        run.write([lane(1)], [curve(1)], {})
+    (tmp_path / "run/manifest.json").write_bytes(before)
+    with RunDirectory.open(tmp_path / "run", PLAN, resume=True) as run:
+        run.write([lane(2)], [curve(2)], {})
+        assert [row["seed"] for row in run.rows("lanes")] == [0, 1, 2]
+
+
+def test_what_a_kill_left_of_a_batch_is_removed(tmp_path):
+    with RunDirectory.open(tmp_path / "run", PLAN) as run:
+        run.write([lane(0)], [curve(0)], {})
+    (tmp_path / "run/parts/00000-lanes.parquet").unlink()
+    with RunDirectory.open(tmp_path / "run", PLAN, resume=True) as run:
+        assert run.rows("lanes") == run.rows("curves") == []
+        run.write([lane(0)], [curve(0)], {})
+        assert run.rows("curves") == [curve(0)]
+
+
+def test_a_flipped_byte_is_an_error_in_words(tmp_path):
+    with RunDirectory.open(tmp_path / "run", PLAN) as run:
+        run.write([lane(0)], [], {})
+    part = tmp_path / "run/parts/00000-lanes.parquet"
+    data = bytearray(part.read_bytes())
+    data[len(data) // 2] ^= 1
+    part.write_bytes(bytes(data))
+    with RunDirectory.open(tmp_path / "run", PLAN, resume=True) as run, pytest.raises(RunError, match="damaged"):
+        run.rows("lanes")
+
+
+def test_resume_on_other_versions_is_refused_with_the_difference(tmp_path):
+    RunDirectory.open(tmp_path / "run", PLAN).__exit__()
+    manifest = json.loads((tmp_path / "run/manifest.json").read_text())
+    manifest["versions"]["jax"] = "0.0.1"
+    (tmp_path / "run/manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(RunError, match=r"0\.0\.1"):
+        RunDirectory.open(tmp_path / "run", PLAN, resume=True)
+
+
+def test_a_full_disk_is_an_error_in_words(tmp_path, monkeypatch):
+    with RunDirectory.open(tmp_path / "run", PLAN) as run:
+
+        def full(*_):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(run, "_replace", full)
+        with pytest.raises(RunError, match="No space left"):
+            run.write([lane(0)], [], {})
 
 
 def test_a_parent_that_cannot_hold_a_directory_is_an_error_in_words(tmp_path):

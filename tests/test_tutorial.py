@@ -22,7 +22,7 @@ def test_article_q_succeeds_as_often_as_the_tutorials_code(swept):
     theirs = json.loads((REFERENCE / "tutorial_tabular.json").read_text())
     assert len(theirs["solved"]) >= 300
     ours = [row["status"] == "solved" for row in swept.lanes]
-    table = [[sum(ours), len(ours) - sum(ours)], [sum(theirs["solved"]), len(ours) - sum(theirs["solved"])]]
+    table = [[sum(ours), len(ours) - sum(ours)], [sum(theirs["solved"]), len(theirs["solved"]) - sum(theirs["solved"])]]
     assert stats.fisher_exact(table).pvalue > ALPHA
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
@@ -75,15 +76,13 @@ def tabular(
 
     def update(key: Key, state: TabularState, experience: Transition, clock: Clock) -> tuple[TabularState, Metrics]:
         del key
-        table, step_size = state.table, alpha(clock)
         rollout, envs = experience.r_t.shape
-        metrics = []
-        for t in range(rollout):
-            for n in range(envs):
-                one = Transition(*(leaf[t, n] for leaf in experience))
-                table, measured = learn(table, step_size, one)
-                metrics.append(measured)
-        return TabularState(table), Metrics(jnp.mean(jnp.stack([m.loss for m in metrics])), metrics[-1].max_q)
+        in_order = Transition(*(leaf.reshape(rollout * envs, *leaf.shape[2:]) for leaf in experience))
+        step_size = alpha(clock)
+        table, measured = jax.lax.scan(
+            lambda table, one: learn(table, step_size, one), state.table, in_order, unroll=rollout * envs == 1
+        )
+        return TabularState(table), Metrics(jnp.mean(measured.loss), measured.max_q[-1])
 
     def observe(state: TabularState, experience: Transition) -> TabularState:
         del experience
