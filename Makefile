@@ -11,8 +11,7 @@ READY := $(VENV)/.ready-$(VERSION)
 
 demo: $(READY)
 	$(BIN)/jaxq sweep article-q --gamma 0.9 0.95 0.99 --seeds 100 --out runs/demo-q-sweep --overwrite
-	$(BIN)/jaxq sweep article-dqn --learning-rate 3e-4 1e-3 --seeds 4 --max-env-steps 30000 \
-	  --out runs/demo-dqn-sweep --overwrite
+	$(BIN)/jaxq sweep article-dqn --learning-rate 1e-4 3e-4 --seeds 4 --out runs/demo-dqn-sweep --overwrite
 	$(BIN)/jaxq train article-q --out runs/demo-q --overwrite
 
 test: lint

@@ -52,7 +52,7 @@ def engine(lanes: int) -> float:
 
 
 def plain(lanes: int) -> float:
-    """The same agent, all lanes in one vmap on one device, JAX's own settings."""
+    """The same agent, all lanes in one vmap on one device under JAX's default flags; keys are the unrolled threefry."""
     import jax
     import jax.numpy as jnp
 

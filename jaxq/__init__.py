@@ -21,19 +21,10 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_MODULES: tuple[str, ...] = (
-    "agents",
-    "envs",
-    "experiment",
-    "lanes",
-    "networks",
-    "optimisers",
-    "policies",
-    "presets",
-    "prng",
-    "programs",
+_MODULES = tuple(
+    "agents cpu envs experiment lanes networks optimisers policies presets prng programs replay rules schedules stats"
+    " success types".split()
 )
-_MODULES += ("replay", "rules", "schedules", "stats", "success", "types")
 _NAMES = {"Outcome": "sweeps", "Plan": "plans", "plan": "plans", "sweep": "sweeps", "train": "sweeps"}
 
 __all__ = [*_MODULES, *_NAMES]
