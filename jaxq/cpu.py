@@ -13,6 +13,8 @@ SMALL_LOOP_BYTES = 2**16
 FLAGS = (
     # One group of lanes is one core's work: a product shared out among threads would wait for the other groups.
     "--xla_cpu_multi_thread_eigen=false",
+    # XLA asks for half-width vectors by default; where a processor has no wider ones this says nothing.
+    "--xla_cpu_prefer_vector_width=512",
     f"--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold={SMALL_LOOP_BYTES}",
 )
 

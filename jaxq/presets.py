@@ -162,7 +162,7 @@ _PRESETS = (
         "dqn",
         "DQN with settings that hold up",
         DQNSettings(
-            learning_rate=5e-4,
+            learning_rate=1e-3,
             learning_rate_end=5e-5,
             tau=1.0,
             target_period=50,
