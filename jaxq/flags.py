@@ -54,6 +54,7 @@ def directory(text: str) -> Path:
 
 
 def overview() -> argparse.ArgumentParser:
+    """What ``jaxq --help`` says."""
     lines = "\n".join(f"  {name:8}{help}" for name, help in COMMANDS.items())
     made = Parser(
         prog="jaxq",
@@ -68,6 +69,7 @@ def overview() -> argparse.ArgumentParser:
 
 
 def preset_overview(command: str) -> argparse.ArgumentParser:
+    """What ``jaxq COMMAND --help`` says."""
     lines = "\n".join(f"  {p.name:14}{p.summary}" for p in presets())
     return Parser(
         prog=f"jaxq {command}",
@@ -80,6 +82,7 @@ def preset_overview(command: str) -> argparse.ArgumentParser:
 
 
 def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
+    """The flags of one command for one preset: the run's, then one per setting."""
     several = command == "sweep"
     made = Parser(
         prog=f"jaxq {command} {chosen.name}",

@@ -23,7 +23,7 @@ def linear(count: Array, start: Array, end: Array, horizon: Array) -> Array:
 def exponential(count: Array, start: Array, end: Array, scale: Array) -> Array:
     """Exponential approach from ``start`` to ``end``.
 
-    s = end + (start - end) exp(-count / scale). Shapes: all [] -> [].
+    s = end + (start - end) exp(-count / scale). Shapes: all [] -> []. The scale must not be 0.
 
     >>> round(float(exponential(jnp.array(1000), 0.9, 0.05, 1000.0)), 6)  # 0.05 + 0.85 / e
     0.362698
