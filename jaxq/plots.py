@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
 from jaxq.tables import Row
 
@@ -53,7 +54,7 @@ def learning_curves(lanes: Sequence[Row], curves: Sequence[Row], labels: dict[in
     _dress(left, "return of training episodes", "environment steps", "return (median, quartiles)")
     _dress(right, "share of lanes solved", "environment steps", "share")
     right.set_ylim(-0.03, 1.03)
-    grid = np.linspace(0, np.percentile([row["env_steps"] for row in lanes] or [1], 98), GRID)
+    grid = np.linspace(0, np.percentile([row["env_steps"] for row in lanes] or [1], 98, method="higher"), GRID)
     by_config = _grouped(lanes)
     means = {c: np.mean([row["final_return"] or 0.0 for row in rows]) for c, rows in by_config.items()}
     shown = sorted(sorted(by_config, key=lambda c: -means[c])[:MOST_SETTINGS])
@@ -113,3 +114,4 @@ def _dress(axes: Axes, title: str, x: str, y: str) -> None:
     axes.set_ylabel(y)
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25)
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 25k for 25000
