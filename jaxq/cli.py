@@ -18,7 +18,7 @@ from typing import Any
 from jaxq import cpu, flags
 from jaxq.flags import COMMANDS, UsageError
 from jaxq.plans import Plan, plan
-from jaxq.presets import Preset, Settings, preset, presets
+from jaxq.presets import Preset, Settings, TabularSettings, preset, presets
 from jaxq.suggest import nearest
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_INTERRUPTED = 0, 1, 2, 75, 130
@@ -176,13 +176,12 @@ def _on_interrupt(stop: threading.Event, quiet: bool) -> dict[int, Any]:
 
 
 def _episode_printer(settings: Settings) -> Callable[[Any], None]:
-    streak = hasattr(settings, "success_streak")
 
     def show(result: Any) -> None:
         for i, (_, length, total, max_q) in enumerate(zip(*result.episodes, strict=True)):
             mark = ""
-            if streak:
-                mark = "  success" if length - 1 >= settings.success_steps else "  fail"  # type: ignore[attr-defined]
+            if isinstance(settings, TabularSettings):
+                mark = "  success" if length - 1 >= settings.success_steps else "  fail"
             print(f"episode {i}: {length} steps, return {total:g}, best q {max_q:.4f}{mark}", file=sys.stderr)
 
     return show
@@ -196,9 +195,10 @@ def _print(command: str, outcome: Any, directory: Any, kept: list[Any], options:
     if options.json:
         print(json.dumps({"lanes": outcome.lanes, "summary": summary, "timing": outcome.timing.rows()}))
     else:
-        if command == "train" and kept and hasattr(kept[0].lane.hypers.agent, "alpha_min"):
+        settings = outcome.plan.settings[0]
+        if kept and isinstance(settings, TabularSettings):
             print("final Q-table")
-            print(report.q_table(kept[0].policy, outcome.plan.settings[0].num_buckets))
+            print(report.q_table(kept[0].policy, settings.num_buckets))
         print(report.settings_table(summary, outcome.plan.varied, color=sys.stdout.isatty()))
     for picture in pictures:
         print(picture, file=sys.stderr if options.json else sys.stdout)

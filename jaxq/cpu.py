@@ -6,8 +6,7 @@ import os
 import sys
 
 #: XLA compiles a loop whose buffers are smaller than this into one function, with no dispatch between its operations.
-#: Its own limit is 1 KiB; a group of table learners is some 30 KiB. Loops with networks in them must stay above it:
-#: inside such a function a matrix product is a plain loop.
+#: Its own limit is 1 KiB; a group of table learners is some 30 KiB. Loops with networks in them are far above it.
 SMALL_LOOP_BYTES = 2**16
 
 FLAGS = (

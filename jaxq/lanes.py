@@ -24,16 +24,16 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxq import experiment as runs
 from jaxq import prng
 from jaxq.executables import Executables
+from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED, Log
 from jaxq.tally import Lane, Result, Slot, absorb
 from jaxq.types import Hypers, PyTree
 
 #: Ended lanes wait for company, so that a whole group is evaluated at once, but no longer than this.
 WAIT_SECONDS = 1.0
 
-STATUS = {runs.SOLVED: "solved", runs.FINISHED: "finished", runs.DIVERGED: "diverged"}
+STATUS = {SOLVED: "solved", FINISHED: "finished", DIVERGED: "diverged"}
 
 
 @dataclass
@@ -179,7 +179,7 @@ class _Worker:
         self.state, log = self.built.advance(self.state, self.hypers)
         steps, updates = self._absorb(log, np.array([slot is not None for slot in self.slots]))
         status = np.asarray(self.state.status)
-        ended = [i for i, slot in enumerate(self.slots) if slot is not None and status[i] != runs.RUNNING]
+        ended = [i for i, slot in enumerate(self.slots) if slot is not None and status[i] != RUNNING]
         names: list[str] = []
         if ended:
             policies = jax.tree.map(np.asarray, self.built.policy(self.state, self.hypers))
@@ -197,7 +197,7 @@ class _Worker:
         share = sum(slot.share() for slot in self.slots if slot is not None)
         self.shared.count(id(self), share, steps, updates, names)
 
-    def _absorb(self, log: runs.Log, which: np.ndarray) -> tuple[int, int]:
+    def _absorb(self, log: Log, which: np.ndarray) -> tuple[int, int]:
         clock = jax.tree.map(np.asarray, self.state.clock)
         return absorb(self.slots, which, clock, log, self.built.program, self.keep_max_q)
 

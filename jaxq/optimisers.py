@@ -28,7 +28,7 @@ class AdamWState(NamedTuple):
 
 def adamw(
     learning_rate: Array | float,
-    weight_decay: Array | float = 0.01,
+    weight_decay: Array | float,
     *,
     b1: Array | float = 0.9,
     b2: Array | float = 0.999,

@@ -28,14 +28,13 @@ Word = Array | np.uint32
 Words = tuple[Array, ...]
 Shape = tuple[int, ...]
 
-IMPLS = FAMILIES
-
 
 def key(seed: int | Array, impl: str = "threefry") -> Key:
     """Typed key of a seed, for every function of ``jax.random``.
 
-    ``key(seed)`` draws what ``jax.random.key(seed)`` draws, bit for bit; ``impl`` is one of ``IMPLS``. Shapes: seed []
-    -> []. A seed is an integer of 32 bits, or of 64 where x64 is on; wider ones are cut or refused as JAX does.
+    ``key(seed)`` draws what ``jax.random.key(seed)`` draws, bit for bit; ``impl`` is one of ``FAMILIES``.
+    Shapes: seed [] -> []. A seed is an integer of 32 bits, or of 64 where x64 is on; wider ones are cut or refused as
+    JAX does.
     Raises ValueError for an unknown ``impl``, TypeError for a seed that is no integer scalar.
 
     >>> bool(jax.random.bits(key(7)) == jax.random.bits(jax.random.key(7)))
@@ -64,7 +63,7 @@ def wrap(data: Array, impl: str = "threefry") -> Key:
 
 def _spec(impl: str) -> Hashable:
     if impl not in _SPECS:
-        raise ValueError(f"impl must be one of {', '.join(map(repr, IMPLS))}, got {impl!r}")
+        raise ValueError(f"impl must be one of {', '.join(map(repr, FAMILIES))}, got {impl!r}")
     return _SPECS[impl]
 
 

@@ -114,23 +114,6 @@ class RunDirectory:
         episodes: Sequence[Row] = (),
     ) -> None:
         """Adds a batch of lanes that ended. Raises RunError when it cannot be written."""
-        try:
-            self._write(lanes, curves, policies, episodes)
-        except OSError as error:
-            raise RunError(f"{self.path}: {error.strerror}") from None
-
-    def note(self, **facts: Any) -> None:
-        """Adds facts to the manifest."""
-        self.manifest |= facts
-        self._write_manifest()
-
-    def _write(
-        self,
-        lanes: Sequence[Row],
-        curves: Sequence[Row],
-        policies: dict[tuple[int, int], dict[str, np.ndarray]],
-        episodes: Sequence[Row],
-    ) -> None:
         # From the files, not the manifest: a kill between a commit and the manifest must not reuse its number.
         number = 1 + max((int(file.name[:5]) for file in _own_files(self.path) if _BATCH.match(file.name)), default=-1)
         tensors = {
@@ -147,6 +130,18 @@ class RunDirectory:
                 name = f"{number:05d}-{kind}.parquet"
                 self._replace(f"parts/{name}", data)
                 self.manifest["parts"][name] = hashlib.sha256(data).hexdigest()
+        self._write_manifest()
+
+    def agree_width(self, config: int, width: int) -> None:
+        """Records how many lanes run together in the program of setting ``config``, which decides their bits.
+
+        Raises RunError where the run was begun with another width.
+        """
+        widths = self.manifest.setdefault("widths", {})
+        if widths.setdefault(str(config), width) != width:
+            raise RunError(
+                f"{self.path}: was made with width {widths[str(config)]}, this is {width}; choose another --out"
+            )
         self._write_manifest()
 
     def rows(self, kind: str) -> list[Row]:
@@ -172,11 +167,15 @@ class RunDirectory:
     def _replace(self, name: str, data: bytes) -> None:
         target = self.path / name
         temporary = target.with_name(f".{target.name}.tmp")
-        with open(temporary, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(target)
+        try:
+            with open(temporary, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(target)
+        except OSError as error:
+            temporary.unlink(missing_ok=True)
+            raise RunError(f"{target}: {error.strerror}") from None
 
     def _write_manifest(self) -> None:
         self._replace("manifest.json", json.dumps(self.manifest, indent=1).encode())
@@ -191,7 +190,7 @@ def read_rows(path: Path, kind: str) -> list[Row]:
 
 
 def flatten(policy: Any) -> dict[str, np.ndarray]:
-    """A policy's arrays by path: ``table`` for a table, ``params.Dense_0.kernel`` and so on for a network."""
+    """A policy's arrays by path: ``table`` for a table, ``params.Linear_0.kernel`` and so on for a network."""
     if isinstance(policy, dict):
         return {
             f"{name}.{rest}" if rest else name: array

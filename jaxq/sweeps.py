@@ -91,7 +91,6 @@ def run(
     overall.solved, overall.diverged = (
         sum(row["status"] == status for row in outcome.lanes) for status in ("solved", "diverged")
     )
-    widths: list[int] = []
     try:
         for i, group in enumerate(groups):
             if stop.is_set():
@@ -102,9 +101,9 @@ def run(
             built = executables.build(program(example, planned.prng), hypers(example), planned.prng)
             outcome.timing.compile_s += built.seconds
             outcome.timing.programs += 1
-            widths.append(built.program.width)
             if directory is not None:
-                directory.note(widths=widths)
+                first = [one.structural() for one in planned.settings].index(example.structural())
+                directory.agree_width(first, built.program.width)
             began = time.perf_counter()
             base = Progress(**vars(overall))
 

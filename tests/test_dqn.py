@@ -181,7 +181,7 @@ def any_network(kind):
 @pytest.mark.parametrize("kind", ["linen", "nnx"])
 def test_any_apply_fits(kind):
     def train(apply, params):
-        optimiser = optimisers.adamw(0.01)
+        optimiser = optimisers.adamw(0.01, 0.01)
         new = (params, params, optimiser.init(params))
         for seed in range(3):
             new = dqn.update(*new[:3], make_batch(seed), apply=apply, optimiser=optimiser, gamma=0.9, tau=0.5)

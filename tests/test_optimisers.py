@@ -105,6 +105,6 @@ def test_every_number_may_be_traced(problem):
 
 
 def test_update_without_params_says_what_to_call():
-    optimiser = optimisers.adamw(0.1)
+    optimiser = optimisers.adamw(0.1, 0.0)
     with pytest.raises(ValueError, match="update\\(grads, state, params\\)"):
         optimiser.update(jnp.ones(2), optimiser.init(jnp.ones(2)))

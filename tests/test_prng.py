@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from jaxq import prng
+from jaxq.families import FAMILIES
 
 # Beyond 32 bits a seed is cut without x64, as JAX does; 2**63 - 1 is the largest that JAX takes.
 SEEDS = (0, 1, -1, 12345, 2**31 - 1, 2**31, 2**32 - 1, 2**32 + 5, -(2**31), 2**63 - 1, -(2**63))
@@ -108,7 +109,7 @@ def hot_loop(key):
     return jax.lax.scan(step, jax.random.uniform(key), jnp.arange(9))[0]
 
 
-@pytest.mark.parametrize("impl", prng.IMPLS)
+@pytest.mark.parametrize("impl", FAMILIES)
 def test_no_loop_is_left_in_the_compiled_program(impl):
     # XLA fuses nothing with a while loop: the one that JAX's own threefry becomes on a CPU is the reason for this
     # module. That one is looked at too, so that this test is known to see a loop; once it has none, the module's
@@ -124,7 +125,7 @@ def test_no_loop_is_left_in_the_compiled_program(impl):
 # ---- both families: the contract of a typed key ----
 
 
-@pytest.mark.parametrize("impl", prng.IMPLS)
+@pytest.mark.parametrize("impl", FAMILIES)
 def test_one_lane_alone_draws_what_it_draws_among_others(impl):
     keys = jax.random.split(prng.key(1, impl), 5)
     together = jax.jit(jax.vmap(lambda k: draws(k, (6,), False)))(keys)
@@ -132,7 +133,7 @@ def test_one_lane_alone_draws_what_it_draws_among_others(impl):
         assert_same([x[i] for x in together], draws(keys[i], (6,), False))
 
 
-@pytest.mark.parametrize("impl", prng.IMPLS)
+@pytest.mark.parametrize("impl", FAMILIES)
 def test_keys_work_under_scan_and_shard_map(impl):
     mesh = jax.sharding.Mesh(np.array(jax.devices()), ("lanes",))
     spec = jax.sharding.PartitionSpec("lanes")
@@ -142,7 +143,7 @@ def test_keys_work_under_scan_and_shard_map(impl):
     np.testing.assert_allclose(np.asarray(sharded(keys)), np.asarray(alone), rtol=1e-6)  # sums: the order may differ
 
 
-@pytest.mark.parametrize("impl", prng.IMPLS)
+@pytest.mark.parametrize("impl", FAMILIES)
 def test_reuse_of_a_key_is_seen(impl):
     with jax.debug_key_reuse(True):
         jax.jit(lambda k: [jax.random.bits(child) for child in jax.random.split(k, 3)])(prng.key(0, impl))
@@ -150,7 +151,7 @@ def test_reuse_of_a_key_is_seen(impl):
             jax.jit(lambda k: jax.random.bits(k) + jax.random.bits(k))(prng.key(0, impl))
 
 
-@pytest.mark.parametrize("impl", prng.IMPLS)
+@pytest.mark.parametrize("impl", FAMILIES)
 def test_wrap_undoes_key_data(impl):
     keys = jax.random.split(prng.key(2, impl), (2, 3))
     data = jax.random.key_data(keys)
@@ -176,7 +177,7 @@ def test_unknown_impl_is_named_with_the_allowed_ones(make, impl):
         make(impl)
 
 
-@pytest.mark.parametrize("impl", prng.IMPLS)
+@pytest.mark.parametrize("impl", FAMILIES)
 @pytest.mark.parametrize("seed", [1.0, "1", None, True, np.bool_(True), np.float32(1), np.zeros(2), jax.random.key(0)])
 def test_seed_that_is_no_integer_is_refused(seed, impl):
     with pytest.raises(TypeError, match="seed must be an integer"):

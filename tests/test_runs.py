@@ -158,12 +158,23 @@ def test_resume_on_other_versions_is_refused_with_the_difference(tmp_path):
 def test_a_full_disk_is_an_error_in_words(tmp_path, monkeypatch):
     with RunDirectory.open(tmp_path / "run", PLAN) as run:
 
-        def full(*_):
+        def full(_):
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(run, "_replace", full)
+        monkeypatch.setattr("os.fsync", full)
         with pytest.raises(RunError, match="No space left"):
             run.write([lane(0)], [], {})
+        assert run.rows("lanes") == []
+    assert not list((tmp_path / "run").rglob("*.tmp"))
+
+
+def test_resume_with_another_width_is_refused(tmp_path):
+    with RunDirectory.open(tmp_path / "run", PLAN) as run:
+        run.agree_width(0, 16)
+    with RunDirectory.open(tmp_path / "run", PLAN, resume=True) as run:
+        run.agree_width(0, 16)
+        with pytest.raises(RunError, match="width 16, this is 8"):
+            run.agree_width(0, 8)
 
 
 def test_a_parent_that_cannot_hold_a_directory_is_an_error_in_words(tmp_path):

@@ -12,7 +12,7 @@ from jaxq import policies, rules, schedules
 from jaxq.types import Agent, Array, Clock, Key, Metrics, Transition
 
 #: Tables up to this many cells are written densely: on a CPU a masked pass over a small table is vector code, where
-#: a scatter is a loop. Measured in docs/performance.md.
+#: a scatter is a loop.
 DENSE_CELLS = 512
 
 
