@@ -10,11 +10,14 @@ import sys
 SMALL_LOOP_BYTES = 2**16
 
 FLAGS = (
-    # One group of lanes is one core's work: a product shared out among threads would wait for the other groups.
+    # One group of lanes is one core's work: a product shared out among threads would wait for the other groups. (XLA
+    # 0.10 shares out batched products a^T b all the same.)
     "--xla_cpu_multi_thread_eigen=false",
     # XLA asks for half-width vectors by default; where a processor has no wider ones this says nothing.
     "--xla_cpu_prefer_vector_width=512",
-    f"--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold={SMALL_LOOP_BYTES}",
+    # The tiled emitter writes a lone elementwise operation through the stack, several times as slow as a loop.
+    "--xla_backend_extra_options="
+    f"xla_cpu_small_while_loop_byte_threshold={SMALL_LOOP_BYTES},xla_cpu_disable_tiled_emitter=true",
 )
 
 

@@ -76,3 +76,18 @@ def test_batches_and_lanes_equal_plain_products(net):
         return jax.jit(jax.vmap(jax.value_and_grad(total)))(lanes, obs)
 
     assert_close(gradient(net.apply), gradient(plain_apply))
+
+
+@pytest.mark.parametrize("hidden", [(), (6,), (3, 9)])
+def test_gradients_are_those_of_plain_products_through_narrow_and_wide_layers(hidden):
+    net = networks.mlp(hidden, 2)
+    batch = jax.random.normal(jax.random.key(2), (7, 4))
+    lanes = jax.vmap(net.init, (0, None))(jax.random.split(jax.random.key(3), 3), batch[0])
+
+    def loss(apply, params):
+        return jnp.sum(jnp.sin(jax.vmap(apply, (None, 0))(params, batch)))
+
+    ours, plain = (lambda params: loss(net.apply, params)), (lambda params: loss(plain_apply, params))
+    assert_close(jax.vmap(jax.grad(ours))(lanes), jax.vmap(jax.grad(plain))(lanes))
+    one = jax.tree.map(lambda leaf: leaf[0], lanes)
+    assert_close(jax.hessian(ours)(one), jax.hessian(plain)(one))
