@@ -15,7 +15,7 @@ FLAGS = (
     "--xla_cpu_multi_thread_eigen=false",
     # XLA asks for half-width vectors by default; where a processor has no wider ones this says nothing.
     "--xla_cpu_prefer_vector_width=512",
-    # The tiled emitter writes a lone elementwise operation through the stack, several times as slow as a loop.
+    # The tiled emitter writes a lone elementwise operation through the stack, which is slower than a loop.
     "--xla_backend_extra_options="
     f"xla_cpu_small_while_loop_byte_threshold={SMALL_LOOP_BYTES},xla_cpu_disable_tiled_emitter=true",
 )

@@ -77,7 +77,7 @@ class Linear(nn.Module):
         kernel = self.param("kernel", uniform, (num_inputs, self.num_outputs))
         bias = self.param("bias", uniform, (self.num_outputs,))
         if self.num_outputs < num_inputs:
-            # Over a batch the kernel's gradient is h^T g, slow in XLA where g is narrow. The barrier keeps it g^T h,
-            # several times as fast, and turns the small result instead. It changes no value.
+            # Over a batch the kernel's gradient is h^T g, slow in XLA where g is narrow. The barrier keeps it g^T h
+            # and turns the small result instead. It changes no value.
             return jax.lax.optimization_barrier(kernel.T) @ x + bias
         return x @ kernel + bias
