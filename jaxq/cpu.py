@@ -10,9 +10,10 @@ import sys
 SMALL_LOOP_BYTES = 2**16
 
 FLAGS = (
-    # One group of lanes is one core's work: a product shared out among threads would wait for the other groups. (XLA
-    # 0.10 shares out batched products a^T b all the same.)
+    # One group of lanes is one core's work: neither a product nor an elementwise operation shared out among threads
+    # should wait for the other groups. (XLA 0.10 shares out batched products a^T b all the same.)
     "--xla_cpu_multi_thread_eigen=false",
+    "--xla_disable_hlo_passes=cpu-parallel-task-assigner",
     # XLA asks for half-width vectors by default; where a processor has no wider ones this says nothing.
     "--xla_cpu_prefer_vector_width=512",
     # The tiled emitter writes a lone elementwise operation through the stack, which is slower than a loop.

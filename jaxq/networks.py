@@ -37,6 +37,10 @@ def mlp(hidden: Sequence[int], num_actions: int) -> Network:
     return Network(init=module.init, apply=module.apply)
 
 
+#: A layer of so few inputs is cheap enough to be computed twice, one of so few outputs to be written out.
+FEW = 16
+
+
 class MLP(nn.Module):
     """Multilayer perceptron on one flattened observation. Shapes: obs any -> [num_outputs].
 
@@ -52,9 +56,11 @@ class MLP(nn.Module):
     def __call__(self, obs: Array) -> Array:
         x = jnp.ravel(obs)
         x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
+        turned = None
         for width in self.hidden:
-            x = nn.relu(Linear(width)(x))
-        return Linear(self.num_outputs)(x)
+            y, turned = Linear(width)(x, turned)
+            x, turned = nn.relu(y), None if turned is None else nn.relu(turned)
+        return Linear(self.num_outputs)(x, turned)[0]
 
 
 class Linear(nn.Module):
@@ -62,12 +68,15 @@ class Linear(nn.Module):
 
     y = x W + b; W, b ~ Uniform(-1/sqrt(I), 1/sqrt(I)), I the number of inputs. Shapes: x [I] -> [O], W [I, O], b [O].
     PyTorch documentation, ``torch.nn.Linear``; LeCun et al., *Efficient BackProp*, 1998.
+
+    Two more values are for speed alone (see ``wide``): ``turned`` is [x, 1], or None, and beside y comes [y, 1], or
+    None where it is not cheap.
     """
 
     num_outputs: int
 
     @nn.compact  # type: ignore[untyped-decorator]
-    def __call__(self, x: Array) -> Array:
+    def __call__(self, x: Array, turned: Array | None = None) -> tuple[Array, Array | None]:
         num_inputs = x.shape[-1]
         bound = num_inputs**-0.5
 
@@ -76,8 +85,52 @@ class Linear(nn.Module):
 
         kernel = self.param("kernel", uniform, (num_inputs, self.num_outputs))
         bias = self.param("bias", uniform, (self.num_outputs,))
-        if self.num_outputs < num_inputs:
-            # Over a batch the kernel's gradient is h^T g, slow in XLA where g is narrow. The barrier keeps it g^T h
-            # and turns the small result instead. It changes no value.
-            return jax.lax.optimization_barrier(kernel.T) @ x + bias
-        return x @ kernel + bias
+        if self.num_outputs <= FEW:
+            return narrow(x, jax.lax.optimization_barrier(kernel.T), bias), None
+        again = None
+        if num_inputs <= FEW:
+            one = jnp.ones(1, x.dtype)
+            rows = jnp.pad(jnp.column_stack([kernel.T, bias]), ((0, 1), (0, 0))).at[-1, -1].set(1)
+            again = jax.lax.optimization_barrier(rows) @ jnp.concatenate([x, one])
+        y = x @ kernel + bias if turned is None else wide(x, turned, kernel, bias)
+        return y, again
+
+
+# Why the products below are not left to jax.grad. Over a batch the gradient of a kernel is x^T g, and XLA on a CPU is
+# slow where the left matrix of a product lies the other way round: it turns it first, or hands the product to Eigen,
+# which cuts it into tasks for a pool that all workers share. A vmapped ``matrix @ vector`` is [O, B], not [B, O], so
+# what is needed turned is computed that way, where that is cheap. A barrier keeps XLA from seeing through it.
+
+
+@jax.custom_jvp
+def wide(x: Array, turned: Array, kernel: Array, bias: Array) -> Array:
+    """y = x W + b, whose gradient of W and b is one product, [x, 1]^T g.
+
+    ``turned`` holds the values [x, 1]; its own derivative is left out, since x has it. Shapes: x [I], turned [I + 1],
+    kernel [I, O], bias [O] -> [O].
+    """
+    return x @ kernel + bias
+
+
+@wide.defjvp
+def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    x, turned, kernel, bias = primals
+    dx, _, dkernel, dbias = tangents
+    return wide(x, turned, kernel, bias), dx @ kernel + turned @ jnp.concatenate([dkernel, dbias[None]])
+
+
+@jax.custom_jvp
+def narrow(x: Array, rows: Array, bias: Array) -> Array:
+    """y = R x + b for few outputs, whose gradient of x is a sum over the rows that XLA fuses into its reader.
+
+    Shapes: x [I], rows [O, I], bias [O] -> [O].
+    """
+    return rows @ x + bias
+
+
+@narrow.defjvp
+def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    x, rows, bias = primals
+    dx, drows, dbias = tangents
+    along = jnp.stack([jnp.sum(row * dx) for row in rows])
+    return narrow(x, rows, bias), along + drows @ x + dbias
