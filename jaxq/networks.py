@@ -37,8 +37,8 @@ def mlp(hidden: Sequence[int], num_actions: int) -> Network:
     return Network(init=module.init, apply=module.apply)
 
 
-#: A layer of so few inputs is cheap enough to be computed twice, one of so few outputs to be written out.
-FEW = 16
+#: So few inputs or outputs are written out, term by term, instead of left to a product.
+FEW = 8
 
 
 class MLP(nn.Module):
@@ -85,21 +85,19 @@ class Linear(nn.Module):
 
         kernel = self.param("kernel", uniform, (num_inputs, self.num_outputs))
         bias = self.param("bias", uniform, (self.num_outputs,))
+        if num_inputs <= FEW:
+            rows = jnp.pad(jnp.column_stack([kernel.T, bias]), ((0, 1), (0, 0))).at[-1, -1].set(1)
+            return spread(x, kernel, bias), jax.lax.optimization_barrier(rows) @ with_one(x)
         if self.num_outputs <= FEW:
             return narrow(x, jax.lax.optimization_barrier(kernel.T), bias), None
-        again = None
-        if num_inputs <= FEW:
-            one = jnp.ones(1, x.dtype)
-            rows = jnp.pad(jnp.column_stack([kernel.T, bias]), ((0, 1), (0, 0))).at[-1, -1].set(1)
-            again = jax.lax.optimization_barrier(rows) @ jnp.concatenate([x, one])
-        y = x @ kernel + bias if turned is None else wide(x, turned, kernel, bias)
-        return y, again
+        return x @ kernel + bias if turned is None else wide(x, turned, kernel, bias), None
 
 
-# Why the products below are not left to jax.grad. Over a batch the gradient of a kernel is x^T g, and XLA on a CPU is
-# slow where the left matrix of a product lies the other way round: it turns it first, or hands the product to Eigen,
-# which cuts it into tasks for a pool that all workers share. A vmapped ``matrix @ vector`` is [O, B], not [B, O], so
-# what is needed turned is computed that way, where that is cheap. A barrier keeps XLA from seeing through it.
+# One function in three forms, y = x W + b, each with a derivative of its own. Over a batch the gradient of W is x^T g,
+# and XLA on a CPU is slow where the left matrix of a product lies the other way round: it turns it first, or hands the
+# product to Eigen, which cuts it into tasks for a pool that all workers share. A vmapped ``matrix @ vector`` is [O, B],
+# not [B, O], so what is needed turned is computed that way, where that is cheap. Barriers keep XLA from seeing through.
+# docs/performance.md has the figures.
 
 
 @jax.custom_jvp
@@ -120,10 +118,26 @@ def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, A
 
 
 @jax.custom_jvp
-def narrow(x: Array, rows: Array, bias: Array) -> Array:
-    """y = R x + b for few outputs, whose gradient of x is a sum over the rows that XLA fuses into its reader.
+def spread(x: Array, kernel: Array, bias: Array) -> Array:
+    """y = x W + b for few inputs, a sum of terms that XLA fuses with what reads y.
 
-    Shapes: x [I], rows [O, I], bias [O] -> [O].
+    Shapes: x [I], kernel [I, O], bias [O] -> [O].
+    """
+    return sum((x[i] * row for i, row in enumerate(kernel)), bias)
+
+
+@spread.defjvp
+def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    x, kernel, bias = primals
+    dx, dkernel, dbias = tangents
+    return spread(x, kernel, bias), dx @ kernel + with_one(x) @ jnp.concatenate([dkernel, dbias[None]])
+
+
+@jax.custom_jvp
+def narrow(x: Array, rows: Array, bias: Array) -> Array:
+    """y = x W + b for few outputs, whose gradient of x is a sum of terms that XLA fuses with what reads it.
+
+    ``rows`` is W^T. Shapes: x [I], rows [O, I], bias [O] -> [O].
     """
     return rows @ x + bias
 
@@ -134,3 +148,8 @@ def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, A
     dx, drows, dbias = tangents
     along = jnp.stack([jnp.sum(row * dx) for row in rows])
     return narrow(x, rows, bias), along + drows @ x + dbias
+
+
+def with_one(x: Array) -> Array:
+    """[x, 1]."""
+    return jnp.concatenate([x, jnp.ones(1, x.dtype)])

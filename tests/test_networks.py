@@ -78,16 +78,38 @@ def test_batches_and_lanes_equal_plain_products(net):
     assert_close(gradient(net.apply), gradient(plain_apply))
 
 
-@pytest.mark.parametrize("hidden", [(), (6,), (3, 9)])
-def test_gradients_are_those_of_plain_products_through_narrow_and_wide_layers(hidden):
+@pytest.mark.parametrize("num_inputs", [4, 9])
+@pytest.mark.parametrize("hidden", [(), (6,), (3, 9), (10, 12), (12, 9, 10)])
+def test_gradients_are_those_of_plain_products_through_narrow_and_wide_layers(hidden, num_inputs):
     net = networks.mlp(hidden, 2)
-    batch = jax.random.normal(jax.random.key(2), (7, 4))
+    batch = jax.random.normal(jax.random.key(2), (7, num_inputs))
     lanes = jax.vmap(net.init, (0, None))(jax.random.split(jax.random.key(3), 3), batch[0])
 
-    def loss(apply, params):
-        return jnp.sum(jnp.sin(jax.vmap(apply, (None, 0))(params, batch)))
+    def loss(apply):
+        return lambda params, batch: jnp.sum(jnp.sin(jax.vmap(apply, (None, 0))(params, batch)))
 
-    ours, plain = (lambda params: loss(net.apply, params)), (lambda params: loss(plain_apply, params))
-    assert_close(jax.vmap(jax.grad(ours))(lanes), jax.vmap(jax.grad(plain))(lanes))
+    def gradients(apply):
+        return jax.jit(jax.vmap(jax.grad(loss(apply), (0, 1)), (0, None)))(lanes, batch)
+
+    assert_close(gradients(net.apply), gradients(plain_apply))
     one = jax.tree.map(lambda leaf: leaf[0], lanes)
-    assert_close(jax.hessian(ours)(one), jax.hessian(plain)(one))
+    ours, plain = (jax.hessian(loss(apply), (0, 1))(one, batch) for apply in (net.apply, plain_apply))
+    assert_close(ours, plain)
+
+
+@pytest.mark.parametrize("name", ["wide", "spread", "narrow"])
+def test_each_form_of_a_layer_has_the_value_and_the_derivatives_of_a_plain_product(name):
+    keys = jax.random.split(jax.random.key(4), 3)
+    x, kernel, bias = (jax.random.normal(k, s) for k, s in zip(keys, [(5,), (5, 6), (6,)], strict=True))
+
+    def ours(x, kernel, bias):
+        if name == "wide":
+            return networks.wide(x, networks.with_one(x), kernel, bias)
+        return networks.spread(x, kernel, bias) if name == "spread" else networks.narrow(x, kernel.T, bias)
+
+    def plain(x, kernel, bias):
+        return x @ kernel + bias
+
+    assert_close(ours(x, kernel, bias), plain(x, kernel, bias))
+    for derive in (jax.jacfwd, jax.jacrev):
+        assert_close(derive(ours, (0, 1, 2))(x, kernel, bias), derive(plain, (0, 1, 2))(x, kernel, bias))
