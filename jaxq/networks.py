@@ -85,6 +85,7 @@ class Linear(nn.Module):
 
         kernel = self.param("kernel", uniform, (num_inputs, self.num_outputs))
         bias = self.param("bias", uniform, (self.num_outputs,))
+        # This order: XLA 0.10 aborts the process on some networks with two ``narrow`` layers in a row.
         if num_inputs <= FEW:
             rows = jnp.pad(jnp.column_stack([kernel.T, bias]), ((0, 1), (0, 0))).at[-1, -1].set(1)
             return spread(x, kernel, bias), jax.lax.optimization_barrier(rows) @ with_one(x)
@@ -151,5 +152,5 @@ def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, A
 
 
 def with_one(x: Array) -> Array:
-    """[x, 1]."""
+    """[x, 1]. Shapes: x [I] -> [I + 1]."""
     return jnp.concatenate([x, jnp.ones(1, x.dtype)])
