@@ -187,13 +187,14 @@ def greedy_returns(key: Key, env: Env, q_values: Callable[[Any], Array], episode
 class _Streams(NamedTuple):
     reset: Key
     agent: Key
+    act: Key
     step: Key
     update: Key
     evaluate: Key
 
 
 def _streams(words: Array, impl: str) -> _Streams:
-    return _Streams(*jax.random.split(prng.wrap(words, impl), 5))
+    return _Streams(*jax.random.split(prng.wrap(words, impl), 6))
 
 
 def _rollout(
@@ -204,7 +205,7 @@ def _rollout(
     live = state.clock.live.astype(jnp.int32)
 
     def one_env(index: Array, env_state: Any, learner: Any, clock: Clock) -> tuple[Any, Transition, Step]:
-        act_key, env_key = jax.random.split(jax.random.fold_in(streams.step, index))
+        act_key, env_key = jax.random.fold_in(streams.act, index), jax.random.fold_in(streams.step, index)
         obs = env.observe(env_state)
         action = agent.act(act_key, learner, obs, clock)
         env_state, happened = env.step(env_key, env_state, action)

@@ -101,12 +101,15 @@ def absorb(
     rounds, width, per_round, num_envs = over.shape
     before = np.array([slot.env_steps if slot else 0 for slot in slots])
     valid = np.where(which, (env_steps - before) // (per_round * num_envs), 0)
-    inside = np.arange(rounds)[:, None] < valid
-    u, lane, t, n = np.nonzero(over & inside[:, :, None, None])
+    u, lane, t, n = np.unravel_index(np.flatnonzero(over), over.shape)
+    inside = u < valid[lane]
+    u, lane, t, n = u[inside], lane[inside], t[inside], n[inside]
     order = np.argsort(lane, kind="stable")
     edges = np.searchsorted(lane[order], np.arange(width + 1))
     tick = before[lane] // num_envs + u * per_round + t
     returns, values = total[u, lane, t, n], max_q[u, lane]
+    mean_return = np.bincount(lane, returns, width) / np.maximum(np.bincount(lane, minlength=width), 1)
+    mean_loss, mean_q = _means(loss, valid), _means(max_q, valid)
     done_steps = done_updates = 0
     for i in np.flatnonzero(which).tolist():
         slot = slots[i]
@@ -123,12 +126,23 @@ def absorb(
                     env_steps=slot.env_steps,
                     episodes=int(episodes[i]),
                     updates=slot.updates,
-                    train_return=float(returns[mine].mean()) if mine.size else float("nan"),
-                    loss=float(loss[: valid[i], i].mean()) if learned else float("nan"),
-                    max_q=float(max_q[: valid[i], i].mean()) if learned else float("nan"),
+                    train_return=float(mean_return[i]) if mine.size else float("nan"),
+                    loss=float(mean_loss[i]) if learned else float("nan"),
+                    max_q=float(mean_q[i]) if learned else float("nan"),
                     epsilon=float(epsilon[i]),
                 )
             )
             if keep_max_q:
                 slot.max_q.append(max_q[: valid[i], i].copy())
     return int(done_steps), int(done_updates)
+
+
+def _means(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Mean of each lane's valid rows. Shapes: values [U, L], valid [L] -> [L].
+
+    Each lane's sum goes down its own column, whatever its neighbours do.
+    """
+    summed = np.einsum("ul->l", values)  # many times quicker than a sum along the first axis
+    for i in np.flatnonzero((0 < valid) & (valid < len(values))):
+        summed[i] = values[: valid[i], i].sum()
+    return summed / np.maximum(valid, 1)

@@ -92,7 +92,7 @@ class Env:
 
     ``reset(key) -> state``; ``step(key, state, action) -> (state, Step)``; ``observe(state) -> obs``.
     One environment, one action: the caller vmaps. ``num_states`` is set where observations are the integers
-    0 .. num_states - 1.
+    0 .. num_states - 1. ``deterministic`` says that ``step`` draws nothing from its key, which a wrapper may then use.
     """
 
     reset: Callable[[Key], PyTree]
@@ -101,6 +101,7 @@ class Env:
     num_actions: int
     obs_shape: tuple[int, ...]
     num_states: int | None = None
+    deterministic: bool = False
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from scipy import stats
 
 from jaxq import envs
 from jaxq.envs import CartPoleParams, CartPoleState, auto_reset, cartpole
+from jaxq.types import Env, Step
 
 KEY = 20
 THRESHOLDS = ((0, 2.4), (0, -2.4), (2, 12 * 2 * math.pi / 360), (2, -12 * 2 * math.pi / 360))
@@ -584,3 +585,24 @@ def test_auto_reset_keeps_the_shape_of_the_environment():
     wrapped = auto_reset(env)
     for name in ("num_actions", "obs_shape", "num_states"):
         assert getattr(wrapped, name) == getattr(env, name)
+
+
+def test_a_deterministic_environment_draws_nothing_in_a_step():
+    env = cartpole()
+    assert env.deterministic
+    state = env.reset(jax.random.key(KEY))
+    first, second = (env.step(jax.random.key(seed), state, jnp.int32(1)) for seed in (1, 2))
+    jax.tree.map(np.testing.assert_array_equal, first, second)
+    wrapped = auto_reset(cartpole(CartPoleParams(max_episode_steps=1)))
+    assert not wrapped.deterministic
+    resets = [wrapped.step(jax.random.key(seed), state, jnp.int32(1))[0].x for seed in (1, 2)]
+    assert resets[0] != resets[1]
+
+
+def test_auto_reset_gives_step_and_reset_keys_of_their_own():
+    def step(key, state, action):
+        return state, Step(jax.random.uniform(key), jnp.float32(1), jnp.array(False), jnp.array(True))
+
+    env = Env(jax.random.uniform, step, lambda state: state, num_actions=2, obs_shape=())
+    fresh, happened = auto_reset(env).step(jax.random.key(KEY), jnp.float32(0), jnp.int32(0))
+    assert fresh != happened.obs

@@ -15,7 +15,7 @@ ALPHA = 1e-3
 
 @pytest.fixture(scope="module")
 def swept():
-    return jaxq.sweep("article-q", seeds=400)
+    return jaxq.sweep("article-q", seeds=1000)
 
 
 def test_article_q_succeeds_as_often_as_the_tutorials_code(swept):

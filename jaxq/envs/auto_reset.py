@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -18,10 +19,10 @@ def auto_reset(env: Env) -> Env:
     """
 
     def step(key: Key, state: Any, action: Array) -> tuple[Any, Step]:
-        step_key, reset_key = jax.random.split(key)
+        step_key, reset_key = (key, key) if env.deterministic else jax.random.split(key)
         after, happened = env.step(step_key, state, action)
         over = happened.terminated | happened.truncated
         fresh = env.reset(reset_key)
         return jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, after), happened
 
-    return Env(env.reset, step, env.observe, env.num_actions, env.obs_shape, env.num_states)
+    return replace(env, step=step, deterministic=False)

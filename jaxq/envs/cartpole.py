@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
+from jaxq.trigonometry import sin_cos
 from jaxq.types import Array, Env, Key, Step
 
 Integrator = Literal["euler", "semi-implicit"]
@@ -92,10 +93,10 @@ def cartpole(
         )
 
     def step(key: Key, state: CartPoleState, action: Array) -> tuple[CartPoleState, Step]:
-        del key  # the physics are deterministic
+        del key
         x, x_dot, theta, theta_dot, t = state
         force = jnp.where(action == 1, p.force_mag, -p.force_mag)
-        cos, sin = jnp.cos(theta), jnp.sin(theta)
+        sin, cos = sin_cos(theta)
         temp = (force + polemass_length * jnp.square(theta_dot) * sin) / total_mass
         theta_acc = (p.gravity * sin - cos * temp) / (
             p.length * (4.0 / 3.0 - p.masspole * jnp.square(cos) / total_mass)
@@ -116,7 +117,7 @@ def cartpole(
         truncated = after.t >= p.max_episode_steps
         return after, Step(observe(after), reward.astype(obs_dtype), terminated, truncated)
 
-    return Env(reset, step, observe, num_actions=2, obs_shape=(4,))
+    return Env(reset, step, observe, num_actions=2, obs_shape=(4,), deterministic=True)
 
 
 def _float_dtype(name: str, dtype: DTypeLike) -> jnp.dtype:

@@ -10,6 +10,7 @@ the multiplication with the subtraction.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -46,7 +47,7 @@ def discretise(env: Env, edges: Sequence[Array]) -> Env:
     def observe(state: Any) -> Array:
         return index(env.observe(state))
 
-    return Env(env.reset, step, observe, env.num_actions, (), num_states=int(np.prod(counts)))
+    return replace(env, step=step, observe=observe, obs_shape=(), num_states=int(np.prod(counts)))
 
 
 def tutorial_bucket(value: np.ndarray, low: Bound, high: Bound, count: int) -> np.ndarray:

@@ -1,0 +1,48 @@
+"""Sine and cosine together, against float64 NumPy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxq.trigonometry import sin_cos
+
+
+@pytest.mark.parametrize("limit", [0.2, 0.8, 3.2, 100.0, 50_000.0])
+def test_within_2e_7_of_float64(limit):
+    angles = np.random.default_rng(0).uniform(-limit, limit, 100_000).astype(np.float32)
+    sine, cosine = jax.jit(sin_cos)(angles)
+    exact = angles.astype(np.float64)
+    assert np.abs(sine - np.sin(exact)).max() < 2e-7
+    assert np.abs(cosine - np.cos(exact)).max() < 2e-7
+
+
+@pytest.mark.parametrize("limit", [1e6, 1e12, 3e38])
+def test_an_angle_too_large_to_reduce_stays_bounded(limit):
+    angles = np.random.default_rng(0).uniform(-limit, limit, 10_000).astype(np.float32)
+    for values in jax.jit(sin_cos)(angles):
+        assert np.abs(values).max() <= 1 + 2e-7
+
+
+def test_special_angles():
+    sine, cosine = sin_cos(jnp.array([0.0, -0.0, np.nan, np.inf]))
+    assert sine[0] == sine[1] == 0
+    assert cosine[0] == cosine[1] == 1
+    assert np.isnan(sine[2:]).all()
+    assert np.isnan(cosine[2:]).all()
+
+
+def test_odd_and_even_to_the_bit():
+    angles = jnp.linspace(0, 20, 1001)
+    sine, cosine = sin_cos(angles)
+    mirrored_sine, mirrored_cosine = sin_cos(-angles)
+    np.testing.assert_array_equal(mirrored_sine, -sine)
+    np.testing.assert_array_equal(mirrored_cosine, cosine)
+
+
+def test_float64_is_numpys():
+    with jax.enable_x64(True):
+        angles = jnp.linspace(-50, 50, 1001)
+        sine, cosine = sin_cos(angles)
+        np.testing.assert_allclose(sine, np.sin(angles), atol=1e-15, rtol=0)
+        np.testing.assert_allclose(cosine, np.cos(angles), atol=1e-15, rtol=0)
