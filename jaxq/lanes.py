@@ -12,7 +12,6 @@ keys derive from the root seed and its seed index alone.
 
 from __future__ import annotations
 
-import os
 import queue
 import threading
 import time
@@ -27,6 +26,7 @@ import numpy as np
 from jaxq import prng
 from jaxq.executables import Executables
 from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED, Log
+from jaxq.machine import cores as cores
 from jaxq.tally import Lane, Result, Slot, absorb
 from jaxq.types import Hypers, PyTree
 
@@ -47,11 +47,6 @@ class Progress:
     env_steps: int = 0
     updates: int = 0
     share: float = 0.0
-
-
-def cores() -> int:
-    """The cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run(
@@ -141,6 +136,8 @@ class _Worker:
         self.width = built.program.width
         self.slots: list[Slot | None] = [None] * self.width
         self.seeds = np.zeros(self.width, np.uint32)
+        self.numbers: list[Hypers | None] = [None] * self.width  # of each slot, the last lane's where it is free
+        self.stack, self.stack_ended = _Stack(), _Stack()
         self.hypers: Hypers | None = None
         self.state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), built.empty)
         self.waiting: list[tuple[Slot, str, PyTree]] = []  # ended, not yet evaluated
@@ -165,12 +162,10 @@ class _Worker:
         fresh = np.zeros(self.width, bool)
         for i, slot in enumerate(self.slots):
             if slot is None and (lane := self.shared.take()) is not None:
-                if self.hypers is None:
-                    self.hypers = jax.tree.map(lambda leaf: np.stack([leaf] * self.width), lane.hypers)
-                self.slots[i], self.seeds[i], fresh[i] = Slot(lane), lane.seed, True
-                # A new array each time: the program may still read the old one.
-                self.hypers = jax.tree.map(partial(_with_row, i), self.hypers, lane.hypers)
+                self.slots[i], self.seeds[i], fresh[i], self.numbers[i] = Slot(lane), lane.seed, True, lane.hypers
         if fresh.any():
+            some = next(numbers for numbers in self.numbers if numbers is not None)
+            self.hypers = self.stack([some if numbers is None else numbers for numbers in self.numbers])
             self.state, log = self.built.start(self.root, self.state, fresh, self.seeds.copy(), self.hypers)
             self._absorb(log, fresh)
         return any(slot is not None for slot in self.slots)
@@ -206,7 +201,7 @@ class _Worker:
         batch, self.waiting = self.waiting[: self.width], self.waiting[self.width :]
         padded = batch + batch[:1] * (self.width - len(batch))
         policy = jax.tree.map(lambda *rows: np.stack(rows), *(entry[2] for entry in padded))
-        hypers = jax.tree.map(lambda *rows: np.stack(rows), *(entry[0].lane.hypers for entry in padded))
+        hypers = self.stack_ended([entry[0].lane.hypers for entry in padded])
         seeds = np.array([entry[0].lane.seed for entry in padded], np.uint32)
         returns = np.asarray(self.built.evaluate(self.root, seeds, policy, hypers))
         for (slot, status, weights), row in zip(batch, returns, strict=False):
@@ -229,7 +224,15 @@ def _row(i: int, rows: np.ndarray) -> np.ndarray:
     return rows[i].copy()
 
 
-def _with_row(i: int, rows: np.ndarray, leaf: np.ndarray) -> np.ndarray:
-    rows = rows.copy()
-    rows[i] = leaf
-    return rows
+class _Stack:
+    """The numbers of a group's lanes as one tree; new arrays when a lane's are other ones, since a program may still
+    read the old, and the last tree again when all are the same objects, as in a sweep over seeds."""
+
+    def __init__(self) -> None:
+        self.rows: list[Hypers] = []
+        self.stacked: Any = None
+
+    def __call__(self, rows: list[Hypers]) -> Hypers:
+        if len(rows) != len(self.rows) or any(new is not old for new, old in zip(rows, self.rows, strict=True)):
+            self.rows, self.stacked = rows, jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+        return self.stacked

@@ -98,7 +98,7 @@ def absorb(
     """
     env_steps, updates, episodes = (np.asarray(x) for x in (clock.env_steps, clock.updates, clock.episodes))
     over, total, max_q, loss, epsilon = (np.asarray(x) for x in log)
-    rounds, width, per_round, num_envs = over.shape
+    _, width, per_round, num_envs = over.shape
     before = np.array([slot.env_steps if slot else 0 for slot in slots])
     valid = np.where(which, (env_steps - before) // (per_round * num_envs), 0)
     u, lane, t, n = np.unravel_index(np.flatnonzero(over), over.shape)
@@ -143,6 +143,6 @@ def _means(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     Each lane's sum goes down its own column, whatever its neighbours do.
     """
     summed = np.einsum("ul->l", values)  # many times quicker than a sum along the first axis
-    for i in np.flatnonzero((0 < valid) & (valid < len(values))):
+    for i in np.flatnonzero((valid > 0) & (valid < len(values))):
         summed[i] = values[: valid[i], i].sum()
     return summed / np.maximum(valid, 1)

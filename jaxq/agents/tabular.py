@@ -107,8 +107,8 @@ def add_to_table(table: Array, state: Array, action: Array, amount: Array) -> Ar
     """
     if table.size > DENSE_CELLS:
         return table.at[state, action].add(amount)
-    # Masked sums of one term: XLA fuses no reduction into a loop that reads it again and again. As plain arithmetic cell
-    # and amount, with all that leads to them, would be computed within the loop over the table, lane by lane.
+    # Masked sums of one term: XLA fuses no reduction into a loop that reads it again and again. As plain arithmetic
+    # cell and amount, with all that leads to them, would be computed within the loop over the table, lane by lane.
     actions = jnp.arange(table.shape[1])
     cell = jnp.sum(jnp.where(actions == action, jnp.asarray(state, jnp.int32) * table.shape[1] + actions, 0))
     amount = jnp.sum(jnp.where(actions == action, amount, 0))

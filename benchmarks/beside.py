@@ -1,0 +1,105 @@
+"""Who runs beside us in each suite: the limits of the machine, and the peers that a user would pick instead."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxq.bench.contest import Contender
+from jaxq.bench.suites import ENVS, GROUPS, LANES, cases
+
+HERE = Path(__file__).parent
+PEERS = HERE / "peers"
+
+#: Contenders that need nothing beyond this package's own environment.
+LIMITS: dict[str, Sequence[Contender]] = {
+    "env": [
+        Contender("SIMD C, all cores", "benchmarks.limits.c", ENVS, ("env",)),
+        Contender("Gymnasium, vector", str(PEERS / "gymnasium_env.py"), ENVS, ("vector",)),
+        Contender("Gymnasium, sync", str(PEERS / "gymnasium_env.py"), ENVS[:5], ("sync",)),
+    ],
+    "tabular": [Contender("scalar C, all cores", "benchmarks.limits.c", LANES, ("table",))],
+    "dqn": [
+        Contender("products alone", "benchmarks.limits.products", GROUPS[1:], ("article",)),
+        Contender("products alone, 64-64", "benchmarks.limits.products", GROUPS[1:4], ("64-64",)),
+        Contender("products alone, 120-84", "benchmarks.limits.products", GROUPS[1:4], ("cleanrl",)),
+        Contender("plain JAX, one vmap", "benchmarks.plain_jax", cases(8, 32, 128)),
+        Contender("jaxq, one vmap", "benchmarks.one_vmap", cases(8, 32, 128)),
+    ],
+}
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A ratio of two contenders' medians: in one case, or each at its best where ``case`` is None.
+
+    ``least`` is what it should reach at least, ``goal`` what it would be good to reach.
+    """
+
+    suite: str
+    ours: str
+    other: str
+    least: float | None = None
+    goal: float | None = None
+    case: str | None = None
+    other_case: str | None = None
+
+
+BARS = [
+    Bar("env", "jaxq", "Gymnasium, vector", least=8),
+    Bar("env", "jaxq", "Gymnasium, sync"),
+    Bar("env", "jaxq", "envpool"),
+    Bar("env", "jaxq", "gymnax", least=10),
+    Bar("env", "jaxq", "SIMD C, all cores", goal=0.25),
+    Bar("tabular", "jaxq", "scalar C, all cores", least=0.5, goal=1, case="4096"),
+    Bar("tabular", "jaxq", "the tutorial, NumPy", least=500),
+    Bar("tabular", "jaxq", "Numba"),
+    *(Bar("dqn", "jaxq", "products alone", least=0.75, case=case) for case in GROUPS[1:]),
+    Bar("dqn", "jaxq, 64-64", "products alone, 64-64", case="128"),
+    Bar("dqn", "jaxq, 120-84", "products alone, 120-84", case="128"),
+    Bar("dqn", "jaxq", "plain JAX, one vmap", least=3, case="128"),
+    Bar("dqn", "jaxq", "jaxq, one vmap", case="128"),
+    Bar("dqn", "jaxq", "the tutorial, PyTorch", least=20),
+    Bar("dqn", "jaxq", "stable-baselines3"),
+    Bar("dqn", "jaxq", "sbx"),
+    Bar("dqn", "jaxq", "rejax", least=3),
+    Bar("dqn", "jaxq, 64-64", "stable-baselines3, 64-64"),
+    Bar("dqn", "jaxq, 64-64", "sbx, 64-64"),
+    Bar("dqn", "jaxq, 64-64", "rejax, 64-64", least=3),
+    Bar("dqn", "jaxq, 120-84", "stable-baselines3, 120-84"),
+    Bar("dqn", "jaxq, 120-84", "sbx, 120-84"),
+    Bar("dqn", "jaxq, 120-84", "rejax, 120-84", least=3),
+]
+
+
+def python_of(folder: str) -> str:
+    """The Python of a virtual environment beside the Makefile; where there is none the contender's error says so."""
+    return str(HERE.parent / folder / "bin" / "python") if folder else sys.executable
+
+
+def _peer(name: str, file: str, which: Sequence[str], *arguments: str, folder: str = ".venv-peers") -> Contender:
+    return Contender(name, str(PEERS / file), which, arguments, python_of(folder))
+
+
+#: Contenders with environments of their own: ``make peers``.
+PEERS_OF: dict[str, Sequence[Contender]] = {
+    "env": [_peer("gymnax", "gymnax_env.py", ENVS), _peer("envpool", "envpool_env.py", ENVS)],
+    "tabular": [
+        _peer("the tutorial, NumPy", "numpy_table.py", cases(1)),
+        _peer("Numba", "numba_table.py", LANES),
+    ],
+    "dqn": [
+        _peer("the tutorial, PyTorch", "torch_dqn.py", cases(1)),
+        *(
+            _peer(f"{name}{suffix}", file, which, setting, folder=folder)
+            for name, file, which, folder in (
+                ("stable-baselines3", "sb3_dqn.py", cases(1), ".venv-peers"),
+                ("sbx", "sbx_dqn.py", cases(1), ".venv-peers"),
+                ("rejax", "rejax_dqn.py", cases(1, 8, 32, 128), ".venv-peers-rejax"),
+            )
+            for suffix, setting in (("", "article"), (", 64-64", "64-64"), (", 120-84", "cleanrl"))
+        ),
+    ],
+}

@@ -1,0 +1,1 @@
+"""What the machine can do: C compiled on the spot, and matrix products alone."""

@@ -1,0 +1,117 @@
+"""``jaxq bench``: our own suites, from the installed package."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from jaxq.bench import report
+from jaxq.bench.contest import Contender, contest
+from jaxq.bench.suites import SUITES, Suite
+from jaxq.suggest import nearest
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """The flags that ``jaxq bench`` and ``python -m benchmarks`` share."""
+    parser.add_argument("suites", nargs="*", metavar="SUITE", help=f"{', '.join(SUITES)}; all when none is named")
+    parser.add_argument("--repeats", type=_count, help="turns of each contender (a suite has its own default)")
+    parser.add_argument("--seconds", type=_seconds, help="least time of a turn (a suite has its own default)")
+    parser.add_argument("--cases", nargs="+", metavar="N", help="only these numbers of environments or lanes")
+    parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def chosen(names: Sequence[str]) -> list[Suite]:
+    """The suites of these names, all when there is none. Raises ValueError for an unknown one, with the nearest."""
+    for name in names:
+        if name not in SUITES:
+            raise ValueError(f"suite {name!r} is unknown{nearest(name, list(SUITES))}")
+    return [SUITES[name] for name in names or SUITES]
+
+
+def run(
+    options: argparse.Namespace, extra: Callable[[Suite], Sequence[Contender]] = lambda suite: ()
+) -> dict[str, Any]:
+    """Runs the suites that the options name, each with ``extra`` contenders beside ours; results by suite.
+
+    Tables go to stdout as they come, or with ``--json`` one object at the end; progress goes to stderr.
+    """
+    results = {}
+    for suite in chosen(options.suites):
+        contenders = [*suite.contenders, *extra(suite)]
+        if options.cases:
+            contenders = [_only(contender, options.cases) for contender in contenders]
+            if not any(contender.cases for contender in contenders):
+                raise ValueError(f"cases: {' '.join(options.cases)} are none of {suite.name}'s")
+        with _Bar(suite.name, options.quiet) as bar:
+            result = contest(
+                [contender for contender in contenders if contender.cases],
+                repeats=options.repeats or suite.repeats,
+                seconds=suite.seconds if options.seconds is None else options.seconds,
+                on_turn=bar.turn,
+            )
+        results[suite.name] = {"suite": suite.name, "unit": suite.unit, "axis": suite.axis, **result}
+        if not options.json:
+            show(results[suite.name], suite)
+    if options.json:
+        print(json.dumps(results))
+    return results
+
+
+def show(result: dict[str, Any], suite: Suite) -> None:
+    """A suite's table on stdout, and what could not run on stderr."""
+    machine = result["machine"]
+    print(f"{suite.name}: {suite.summary}")
+    print(f"{suite.unit}/s, median of {result['repeats']}; {machine['cpu']}, {machine['cores']} cores")
+    print(report.text(report.grid(result, suite.axis)), end="\n\n", flush=True)
+    for line in report.errors(result):
+        print(f"not run: {line}", file=sys.stderr)
+
+
+def _only(contender: Contender, cases: Sequence[str]) -> Contender:
+    return replace(contender, cases=[case for case in contender.cases if case in cases])
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or not 1 <= int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text} is not allowed: a whole number from 1 to 1000")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= 3600:
+        raise argparse.ArgumentTypeError(f"{text} is not allowed: a number from 0 to 3600")
+    return value
+
+
+class _Bar:
+    """Turns done and time left, on stderr where that is a terminal; elsewhere nothing until the table."""
+
+    def __init__(self, name: str, quiet: bool):
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        self.bar = Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True)
+        self.task = self.bar.add_task(name, total=None)
+        self.name = name
+
+    def __enter__(self) -> _Bar:
+        self.bar.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.bar.stop()
+
+    def turn(self, done: int, total: int, what: str) -> None:
+        self.bar.update(self.task, completed=done, total=total, description=f"{self.name}: {what}")

@@ -1,0 +1,58 @@
+"""A contest's result as a table for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1, ""))
+
+
+def rate(value: float | None, unit: str = "") -> str:
+    """A rate with three digits, such as "12.3 M updates/s"; a dash where there is none."""
+    if not value:
+        return "-"
+    factor, prefix = next(((f, p) for f, p in PREFIXES if value >= f), PREFIXES[-1])
+    scaled = value / factor
+    digits = 0 if scaled >= 99.95 else 1 if scaled >= 9.995 else 2
+    words = (f"{scaled:.{digits}f}", prefix, f"{unit}/s" if unit else "")
+    return " ".join(word for word in words if word)
+
+
+def grid(result: Mapping[str, Any], axis: str) -> list[list[str]]:
+    """Rows of a table: a row per case, a column per contender, medians, and the spread in per cent of the median."""
+    names = list(dict.fromkeys(row["contender"] for row in result["rows"]))
+    order = list(dict.fromkeys(row["case"] for row in result["rows"]))
+    found = {(row["contender"], row["case"]): row for row in result["rows"]}
+    lines = [[axis, *names]]
+    for case in order:
+        cells = (_cell(found.get((name, case))) for name in names)
+        lines.append([f"{int(case):,}" if case.isdigit() else case, *cells])
+    return lines
+
+
+def _cell(row: Mapping[str, Any] | None) -> str:
+    if row is None:
+        return ""
+    if row["error"]:
+        return "error"
+    return f"{rate(row['median'])} (±{50 * row['spread']:.0f} %)" if row["median"] else "-"
+
+
+def errors(result: Mapping[str, Any]) -> list[str]:
+    """A line per contender and reason that kept it from running."""
+    reasons = {(row["contender"], row["error"]) for row in result["rows"] if row["error"]}
+    return [f"{name}: {reason}" for name, reason in sorted(reasons)]
+
+
+def text(lines: list[list[str]]) -> str:
+    """The rows of a table in columns, the first to the left, the others to the right."""
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    shown = []
+    for line in lines:
+        cells = [
+            line[0].ljust(widths[0]),
+            *(cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True)),
+        ]
+        shown.append("  ".join(cells).rstrip())
+    return "\n".join(shown)

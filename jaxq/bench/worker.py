@@ -1,0 +1,107 @@
+"""One contender's process: prepares cases and runs them for as long as it is told, over a pipe.
+
+    python worker.py MODULE [ARGUMENT ...]
+
+Nothing but the standard library is imported here, so that any Python can run this file for a contender that jaxq is
+not installed for. MODULE is a dotted name or the path of a file, and offers
+
+    ``prepare(case: str, *arguments: str) -> Callable[[], float]``: everything that is not to be timed; what it returns
+    does one bout of work, waits for its end and returns the units of work done;
+    ``PACKAGES``: the names of the packages whose versions belong beside the figures.
+
+Each line of stdin is a JSON request {"case", "seconds"}; each answer is a line of JSON: {"rate", "bouts", "prepare_s"},
+units per second over whole bouts that fill at least ``seconds``, or {"error"}. The first bout after ``prepare``
+compiles and warms up; it counts as preparation. The first line of all tells {"versions"}, or {"error"} and the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import importlib.util
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Sequence
+from importlib import metadata
+from typing import Any
+
+
+def main() -> None:
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what a library prints is talk, not an answer
+
+    def answer(**fields: Any) -> None:
+        answers.write(json.dumps(fields) + "\n")
+
+    try:
+        del sys.path[0]  # this file's folder, whose names are not for others
+        module = load(sys.argv[1])
+        answer(versions=versions(getattr(module, "PACKAGES", ())))
+    except Exception as error:
+        answer(error=one_line(error))
+        return
+    prepared: dict[str, tuple[Any, float]] = {}
+    for line in sys.stdin:
+        request = json.loads(line)
+        try:
+            answer(**measure(module, prepared, request["case"], request["seconds"], sys.argv[2:]))
+        except Exception as error:
+            answer(error=one_line(error))
+
+
+def measure(
+    module: Any, prepared: dict[str, tuple[Any, float]], case: str, seconds: float, arguments: Sequence[str] = ()
+) -> dict[str, float]:
+    """Units per second of one case, over whole bouts that fill at least ``seconds``."""
+    if case not in prepared:
+        began = time.perf_counter()
+        bout = module.prepare(case, *arguments)
+        bout()
+        prepared[case] = bout, time.perf_counter() - began
+    bout, prepare_s = prepared[case]
+    gc.collect()
+    gc.disable()
+    try:
+        units, bouts, began = 0.0, 0, time.perf_counter()
+        while bouts == 0 or time.perf_counter() - began < seconds:
+            units += bout()
+            bouts += 1
+        elapsed = time.perf_counter() - began
+    finally:
+        gc.enable()
+    return {"rate": units / elapsed, "bouts": bouts, "prepare_s": prepare_s}
+
+
+def load(name: str) -> Any:
+    """The module of a dotted name or of a file's path."""
+    if not name.endswith(".py"):
+        return importlib.import_module(name)
+    spec = importlib.util.spec_from_file_location("contender", name)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{name} is not a module")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["contender"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def versions(packages: Any) -> dict[str, str]:
+    """The version of this Python and of each package that is installed."""
+    found = {"python": platform.python_version()}
+    for package in packages:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[package] = metadata.version(package)
+    return found
+
+
+def one_line(error: Exception) -> str:
+    """An exception as one line of at most 300 characters."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
+
+
+if __name__ == "__main__":
+    main()

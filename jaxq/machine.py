@@ -1,0 +1,54 @@
+"""What this machine is, as far as it decides what XLA makes of a program. Imports no jax."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+#: What of /proc/cpuinfo is the same whenever it is read; clock rates are not.
+_LASTING = re.compile(
+    r"(vendor_id|cpu family|model|model name|stepping|flags|features|cpu (implementer|architecture|variant|part))\s*:",
+    re.IGNORECASE,
+)
+
+
+def cores() -> int:
+    """The cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def processor() -> str:
+    """The processor's name."""
+    for line in _cpuinfo():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def instructions() -> str:
+    """The processor with the instructions it has, as the system lists them; equal where equal code may run."""
+    # Sorted and without repetition: there may be cores of two kinds.
+    lines = sorted({line for line in _cpuinfo() if _LASTING.match(line)})
+    return "\n".join([platform.machine(), *(lines or [platform.processor(), _sysctl()])])
+
+
+def _cpuinfo() -> list[str]:
+    try:
+        return Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return []
+
+
+def _sysctl() -> str:
+    """What macOS has in the place of /proc/cpuinfo."""
+    if sys.platform != "darwin":
+        return ""
+    try:
+        asked = ["sysctl", "machdep.cpu", "hw.optional"]
+        return subprocess.run(asked, capture_output=True, text=True, timeout=10, check=False).stdout
+    except (OSError, subprocess.SubprocessError):
+        return ""

@@ -1,0 +1,206 @@
+"""The contest, our contenders in it, and ``jaxq bench``."""
+
+import json
+import sys
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxq import prng
+from jaxq.bench import contest, dqn, env, report, suites, tabular
+from jaxq.bench.contest import Contender
+from jaxq.cli import main
+from jaxq.envs import make
+from jaxq.envs.auto_reset import auto_reset
+
+CONTENDER = """
+import time
+PACKAGES = ("numpy", "no-such-package")
+
+def prepare(case, units="1"):
+    print("talk on stdout is no answer")
+    if case == "bad":
+        raise ValueError("first line\\n  second line")
+    if case == "dies":
+        import os
+        os._exit(3)
+    prepared.append(case)
+    def bout():
+        time.sleep(0.002)
+        return float(units) * len(prepared)
+    return bout
+
+prepared = []
+"""
+
+
+@pytest.fixture
+def module(tmp_path):
+    path = tmp_path / "contender.py"
+    path.write_text(CONTENDER)
+    return str(path)
+
+
+def rows_of(result):
+    return {(row["contender"], row["case"]): row for row in result["rows"]}
+
+
+def test_contenders_take_turns_and_cases_are_prepared_once(module):
+    turns = []
+    contenders = [Contender("one", module, ("a", "b")), Contender("ten", module, ("b",), ("10",))]
+    result = contest.contest(contenders, repeats=3, seconds=0.01, on_turn=lambda *turn: turns.append(turn))
+    assert [what for _, _, what in turns] == ["one, a", "one, b", "ten, b"] * 3
+    assert [done for done, _, _ in turns] == list(range(9))
+    assert {total for _, total, _ in turns} == {9}
+    rows = rows_of(result)
+    for row in rows.values():
+        assert len(row["rates"]) == 3
+        assert row["median"] == sorted(row["rates"])[1]
+        assert row["spread"] == (max(row["rates"]) - min(row["rates"])) / row["median"]
+    # A case counts the cases prepared so far, so a second preparation would be seen; a bout lasts some 2 ms.
+    assert 100 < rows["one", "a"]["rates"][0] < 500
+    assert 200 < rows["one", "b"]["rates"][2] < 1000
+    assert 1000 < rows["ten", "b"]["median"] < 5000
+    assert contest.best(result, "one") == max(rows["one", case]["median"] for case in "ab")
+    assert contest.best(result, "nobody") is None
+    assert result["versions"]["one"].keys() == {"python", "numpy"}
+    json.dumps(result, allow_nan=False)
+
+
+def test_a_contender_that_fails_is_told_and_stops_nobody(module):
+    contenders = [
+        Contender("sound", module, ("a",)),
+        Contender("bad", module, ("bad", "a")),
+        Contender("dies", module, ("dies", "a")),
+        Contender("no module", "no_such_module", ("a",)),
+        Contender("no python", module, ("a",), python="/no/such/python"),
+    ]
+    result = contest.contest(contenders, repeats=2, seconds=0)
+    rows = rows_of(result)
+    assert len(rows["sound", "a"]["rates"]) == 2
+    assert len(rows["bad", "a"]["rates"]) == 2
+    assert rows["bad", "bad"]["error"] == "ValueError: first line second line"
+    assert rows["bad", "bad"]["median"] is None
+    assert "ended with status 3" in rows["dies", "dies"]["error"]
+    assert rows["dies", "a"]["error"]
+    assert "no_such_module" in rows["no module", "a"]["error"]
+    assert "does not run" in rows["no python", "a"]["error"]
+    lines = report.errors(result)
+    assert any(line.startswith("no python: /no/such/python does not run") for line in lines)
+    table = report.text(report.grid(result, "lanes"))
+    assert "error" in table
+    assert table.splitlines()[0].split()[0] == "lanes"
+
+
+@pytest.mark.parametrize(("field", "value"), [("repeats", 0), ("seconds", -1.0), ("seconds", float("nan"))])
+def test_a_contest_refuses_what_makes_no_sense(module, field, value):
+    with pytest.raises(ValueError, match=f"^{field}: {value} "):
+        contest.contest([Contender("one", module, ("a",))], **{"repeats": 1, "seconds": 0.0, field: value})
+
+
+@pytest.mark.parametrize("family", ["pcg4d", "threefry"])
+def test_the_env_contender_plays_what_gymnasium_plays(family, monkeypatch):
+    monkeypatch.setattr(env, "STEPS", 32 * 40)
+    chunks, width = 3, 32
+    root = jax.random.key_data(prng.key(0, family))
+    world = auto_reset(make("CartPole-v1"))
+    keys = jax.random.split(prng.wrap(root, family), (chunks, width))
+    states = jax.vmap(jax.vmap(world.reset))(keys)
+    run = jax.jit(lambda states, first: env.roll(world, family, root, states, first))
+    rolled = run(states, jnp.uint32(0))
+    again = run(rolled.states, jnp.uint32(env.STEPS))
+    ours = 2 * env.STEPS * chunks * width / float((rolled.episodes + again.episodes).sum())
+
+    theirs, rng = gymnasium.make("CartPole-v1"), np.random.default_rng(0)
+    lengths = []
+    for seed in range(600):
+        theirs.reset(seed=seed)
+        steps, over = 0, False
+        while not over:
+            _, _, terminated, truncated, _ = theirs.step(int(rng.integers(2)))
+            steps, over = steps + 1, terminated or truncated
+        lengths.append(steps)
+    error = np.std(lengths) / np.sqrt(len(lengths))
+    assert abs(ours - np.mean(lengths)) < 5 * error
+    assert len(np.unique(np.asarray(rolled.states.x))) == chunks * width  # no two environments share their keys
+    assert not np.array_equal(rolled.episodes, again.episodes)  # nor two stretches of time
+
+
+def test_the_env_contender_counts_its_steps(monkeypatch):
+    monkeypatch.setattr(env, "STEPS", 64)
+    monkeypatch.setattr(env, "BOUT", 2**10)
+    assert env.prepare("1")() == 2**10
+    assert env.prepare("130")() == 3 * 64 * 64  # whole chunks
+
+
+def test_the_tabular_contender_makes_every_update_it_counts(monkeypatch):
+    for name, value in {"LEAST": 2000, "MOST": 4000, "BOUT": 2**14}.items():
+        monkeypatch.setattr(tabular, name, value)
+    assert tabular.prepare("1")() == 4000
+    assert tabular.prepare("20")() == 20 * 2000
+
+
+@pytest.mark.parametrize(("setting", "each"), [("64-64", 512), ("cleanrl", 256)])
+def test_the_dqn_contender_makes_every_update_it_counts(monkeypatch, setting, each):
+    monkeypatch.setattr(dqn, "MOST", each)
+    monkeypatch.setattr(dqn, "BOUT", 2**10)
+    assert dqn.prepare("2", setting)() == 2 * each
+
+
+def test_every_contender_of_ours_has_its_module_and_cases():
+    for suite in suites.SUITES.values():
+        for contender in suite.contenders:
+            assert contender.cases
+            assert contender.module.startswith("jaxq.bench.")
+            assert contender.python == sys.executable
+
+
+def test_rates_read_well():
+    assert report.rate(123_456_789, "updates") == "123 M updates/s"
+    assert report.rate(1_234.5) == "1.23 k"
+    assert report.rate(99.96) == "100"
+    assert report.rate(0.5, "runs") == "0.50 runs/s"
+    assert report.rate(None) == "-"
+
+
+def test_bench_prints_a_table_and_json(capsys, monkeypatch, module):
+    small = suites.Suite("env", "a test", "steps", "environments", [Contender("one", module, ("1", "2"))], 1, 0.0)
+    monkeypatch.setitem(suites.SUITES, "env", small)
+    assert main(["bench", "env", "--cases", "2"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == "env: a test"
+    assert out[2].split() == ["environments", "one"]
+    assert out[3].split()[0] == "2"
+    assert main(["bench", "env", "--json", "--repeats", "2"]) == 0
+    result = json.loads(capsys.readouterr().out)["env"]
+    assert [row["case"] for row in result["rows"]] == ["1", "2"]
+    assert result["repeats"] == 2
+    assert result["machine"]["cores"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["evn"], "suite 'evn' is unknown; did you mean 'env'?"),
+        (["env", "--repeats", "0"], "0 is not allowed: a whole number from 1 to 1000"),
+        (["env", "--seconds", "nan"], "nan is not allowed: a number from 0 to 3600"),
+        (["env", "--cases", "3"], "cases: 3 are none of env's"),
+        (["env", "--sceonds", "1"], "--sceonds"),
+    ],
+)
+def test_a_mistake_is_one_line(capsys, words, message):
+    assert main(["bench", *words]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert len(captured.err.splitlines()) == 1
+    assert message in captured.err
+
+
+def test_nothing_asked_shows_its_flags(capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["bench", "--help"])
+    assert left.value.code == 0
+    assert "--repeats" in capsys.readouterr().out
