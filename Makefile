@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 READY := $(VENV)/.ready-$(VERSION)
 
-.PHONY: demo test lint lock notebook clean
+.PHONY: demo test lint lock notebook peers clean
 
 demo: $(READY)
 	$(BIN)/jaxq sweep article-q --gamma 0.9 0.95 0.99 --seeds 100 --out runs/demo-q-sweep --overwrite
@@ -38,5 +38,9 @@ lock:
 notebook: $(READY)
 	$(BIN)/python notebooks/execute.py
 
+# What the benchmarks are compared with; says what cannot be installed.
+peers:
+	$(PYTHON) benchmarks/peers/install.py
+
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .venv-peers* .pytest_cache .mypy_cache .ruff_cache .hypothesis

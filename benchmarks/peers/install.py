@@ -1,0 +1,91 @@
+"""Makes the peers' environments: one for each requirements file in this folder, as pins of some exclude others.
+
+    python benchmarks/peers/install.py [NAME ...]
+
+``requirements.txt`` goes into ``.venv-peers`` and ``requirements-NAME.txt`` into ``.venv-peers-NAME``, made with the
+Python that runs this file. NAME is the folder of an environment; without any, all are made. Every requirement gets a
+line that says whether it is there and can be imported, or why not. The exit status is 1 when none is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+
+#: Run by an environment's Python: imports what the distribution in argv brings, prints its version.
+PROBE = """
+import importlib, sys
+from importlib import metadata
+name = sys.argv[1]
+ours = [top for top, owners in metadata.packages_distributions().items()
+        if name.replace("_", "-").lower() in {owner.replace("_", "-").lower() for owner in owners}]
+for top in ours:
+    if not top.startswith("_") and top not in ("tests", "bin", "share"):
+        importlib.import_module(top)
+print("VERSION", metadata.version(name))
+"""
+
+
+def environments() -> dict[str, Path]:
+    """Each environment's folder and the file of what stands in it."""
+    files = sorted(HERE.glob("requirements*.txt"))
+    return {f".venv-peers{file.stem.removeprefix('requirements')}": file for file in files}
+
+
+def requirements(file: Path) -> list[str]:
+    """The requirements of a file, a line each, without comments."""
+    lines = (line.split("#")[0].strip() for line in file.read_text().splitlines())
+    return [line for line in lines if line]
+
+
+def install(folder: str, file: Path) -> bool:
+    """Makes an environment anew and says of each requirement what came of it; whether any can be used."""
+    path = ROOT / folder
+    shutil.rmtree(path, ignore_errors=True)
+    venv.create(path, with_pip=True)
+    python = path / ("Scripts" if sys.platform == "win32" else "bin") / "python"
+    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    reasons: dict[str, str] = {}
+    if run(pip + ["-r", str(file)]):
+        for one in requirements(file):  # what cannot be had must not keep the others away
+            reasons[one] = run(pip + ["-c", str(file), one])
+    usable = False
+    for one in requirements(file):
+        reason = reasons.get(one) or run([str(python), "-c", PROBE, re.split(r"[=<>!~;\[ ]", one)[0]])
+        usable |= not reason
+        print(f"{folder}: {one}: {'NOT INSTALLED, ' + reason if reason else 'installed'}", flush=True)
+    return usable
+
+
+def run(words: list[str]) -> str:
+    """Runs a command; empty, or the line that tells why it failed."""
+    done = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    if not done.returncode:
+        return ""
+    lines = [line.strip() for line in done.stdout.splitlines() if line.strip()]
+    telling = [line for line in lines if line.startswith("ERROR:")] or lines or [f"status {done.returncode}"]
+    return telling[-1].removeprefix("ERROR: ")[:300]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    known = environments()
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(known))
+    args = parser.parse_args()
+    for name in args.names:
+        if name not in known:
+            parser.error(f"{name!r} is none of {', '.join(known)}")
+    usable = [install(name, known[name]) for name in args.names or known]
+    sys.exit(not any(usable))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+"""The tutorial's DQN, PyTorch over Gymnasium: updates per second of one training.
+
+The loop is the one in ``tests/reference/tutorial_dqn.py``, an update per environment step. In the peer's favour PyTorch
+uses one thread: its layers are too small to gain from a second.
+"""
+
+from __future__ import annotations
+
+import itertools
+import runpy
+from collections.abc import Callable
+from pathlib import Path
+
+PACKAGES = ("torch", "gymnasium", "numpy")
+
+LOOP = Path(__file__).parents[2] / "tests" / "reference" / "tutorial_dqn.py"
+STEPS = 1500
+
+
+def prepare(case: str, threads: str = "1") -> Callable[[], float]:
+    """One training; ``case`` is 1. Units: updates."""
+    import torch
+
+    if case != "1":
+        raise ValueError(f"case: {case!r} must be '1', the loop is one training")
+    torch.set_num_threads(int(threads))
+    train = runpy.run_path(str(LOOP))["train"]
+    seeds = itertools.count()
+
+    def bout() -> float:
+        _, _, updates = train(next(seeds), max_env_steps=STEPS)
+        return float(updates)
+
+    return bout
