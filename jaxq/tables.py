@@ -83,18 +83,19 @@ def summary(lanes: Iterable[Row], varied: Sequence[str]) -> list[Row]:
 
 
 def _setting(config: int, rows: list[Row], varied: Sequence[str]) -> Row:
-    solved = stats.share(sum(row["status"] == "solved" for row in rows), len(rows))
+    one = len(rows) == 1
+    successes = sum(row["status"] == "solved" for row in rows)
+    solved = stats.Estimate(float(successes), None, None) if one else stats.share(successes, len(rows))
     kept = [row for row in rows if row["status"] != "diverged"]
     final = stats.interquartile_mean([row["final_return"] for row in kept if row["final_return"] is not None])
     greedy = stats.interquartile_mean([row["eval_return"] for row in kept if row["eval_return"] is not None])
-    one = len(rows) == 1
     return {
         "config": config,
         **{name: rows[0][name] for name in varied},
         "seeds": len(rows),
         "solved": solved.value,
-        "solved_low": None if one else solved.low,
-        "solved_high": None if one else solved.high,
+        "solved_low": solved.low,
+        "solved_high": solved.high,
         "median_episodes": stats.median_time([row["solved_at_episode"] for row in rows]),
         "median_env_steps": stats.median_time([row["solved_at_step"] for row in rows]),
         "final_return": final.value,

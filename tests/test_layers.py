@@ -92,3 +92,9 @@ def test_help_imports_no_jax():
 def test_the_whole_library_without_its_edges_imports_neither_brax_nor_matplotlib_nor_gymnasium():
     loaded = loaded_by("import jaxq\n[getattr(jaxq, name) for name in jaxq.__all__]")
     assert not loaded & {"brax", "matplotlib", "gymnasium"}
+
+
+def test_the_summary_of_one_seed_needs_no_scipy_stats():
+    row = dict.fromkeys(("config", "final_return", "eval_return", "solved_at_episode", "solved_at_step"), 0)
+    code = f"from jaxq import tables\ntables.summary([{row | {'status': 'solved'}}], [])"
+    assert "scipy.stats" not in loaded_by(code)
