@@ -22,8 +22,8 @@ from typing import Any
 __version__ = "0.1.0"
 
 _MODULES = tuple(
-    "agents cpu envs experiment lanes networks optimisers policies presets prng programs replay rules schedules stats"
-    " success types".split()
+    "agents compile_cache cpu envs experiment lanes networks optimisers policies presets prng programs replay rules"
+    " schedules stats success types".split()
 )
 _NAMES = {"Outcome": "sweeps", "Plan": "plans", "plan": "plans", "sweep": "sweeps", "train": "sweeps"}
 

@@ -120,7 +120,7 @@ def _with_directory(command: str, planned: Plan, options: argparse.Namespace, st
 
 
 def _sweep(command: str, planned: Plan, directory: Any, options: argparse.Namespace, stop: threading.Event) -> int:
-    from jaxq import sweeps
+    from jaxq import compile_cache, sweeps
     from jaxq.progress import Display
 
     episodes = _episode_printer(planned.settings[0]) if command == "train" and options.verbose else None
@@ -138,12 +138,14 @@ def _sweep(command: str, planned: Plan, directory: Any, options: argparse.Namesp
                     f" {len(result.episodes.total)} episodes, {result.env_steps} steps"
                 )
 
+        cache = None if options.no_cache else compile_cache.user_cache(display.say if options.verbose else None)
         outcome = sweeps.run(
             planned,
             directory=directory,
             keep_episodes=command == "train" or options.episodes,
             keep_max_q=command == "train",
             workers=options.workers,
+            cache=cache,
             on_compile=display.compiling,
             on_progress=display.progress,
             on_result=on_result,

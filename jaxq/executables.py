@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxq import prng
+from jaxq.compile_cache import CompileCache
 from jaxq.experiment import Log
 from jaxq.programs import Program
 from jaxq.types import Hypers, PyTree
@@ -18,7 +19,8 @@ from jaxq.types import Hypers, PyTree
 
 @dataclass
 class Executables:
-    """The executables of one structure, each over a whole group, and the seconds that it took to make them.
+    """The executables of one structure, each over a whole group, the seconds that it took to make them, and whether
+    all of them came from a cache.
 
     ``start(root, state, fresh, seeds, hypers)`` puts new lanes into the fresh slots; ``advance(state, hypers)`` runs a
     segment; ``evaluate(root, seeds, policies, hypers)`` plays greedy episodes; ``policy(state, hypers)`` takes the
@@ -32,10 +34,14 @@ class Executables:
     policy: Callable[..., Any]
     empty: PyTree  # the shapes of a group's state
     seconds: float
+    cached: bool
 
 
-def build(program: Program, example: Hypers, impl: str) -> Executables:
-    """Traces and compiles a structure, once for all settings, seeds and roots. ``example``: any setting's hypers."""
+def build(program: Program, example: Hypers, impl: str, cache: CompileCache | None = None) -> Executables:
+    """Traces and compiles a structure, once for all settings, seeds and roots. ``example``: any setting's hypers.
+
+    With a ``cache``, what it holds is not compiled again.
+    """
     began = time.perf_counter()
     made, width = program.experiment, program.width
 
@@ -66,7 +72,11 @@ def build(program: Program, example: Hypers, impl: str) -> Executables:
         "evaluate": (jax.vmap(evaluate, (None, 0, 0, 0)), (root, seeds, policy, hypers), ()),
         "policy": (jax.vmap(made.policy), (state, hypers), ()),
     }
-    built = {
-        name: jax.jit(fn, donate_argnums=donated).lower(*args).compile() for name, (fn, args, donated) in jobs.items()
-    }
-    return Executables(program=program, empty=state, seconds=time.perf_counter() - began, **built)
+    built, found = {}, []
+    for name, (fn, args, donated) in jobs.items():
+        # keep_unused: a program that drops arguments cannot be cached.
+        traced = jax.jit(fn, donate_argnums=donated, keep_unused=True).trace(*args)
+        built[name], hit = cache.compile(traced) if cache else (traced.lower().compile(), False)
+        found.append(hit)
+    seconds = time.perf_counter() - began
+    return Executables(program=program, empty=state, seconds=seconds, cached=all(found), **built)

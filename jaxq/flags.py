@@ -106,6 +106,12 @@ def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
     run.add_argument("--quiet", action="store_true", help="no progress and no talk")
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
     run.add_argument("--verbose", action="store_true", help="a line per lane, or per episode of a train")
+    run.add_argument(
+        "--no-cache",
+        action="store_true",
+        help="compile anew and keep nothing of it; else compiled programs are kept in $JAXQ_CACHE_DIR or in the"
+        " user's directory for caches",
+    )
     run.add_argument("--workers", type=int, default=None, help="cores to use (default all)", metavar="N")
     for title, wanted in (("hyperparameters", False), ("structure (each combination is compiled once)", True)):
         group = made.add_argument_group(title)

@@ -53,7 +53,7 @@ class Display:
     def say(self, text: str) -> None:
         """A line of talk above the bar."""
         if self.talk:
-            self.bar.console.print(text, highlight=False)
+            self.bar.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def compiling(self, number: int, programs: int) -> None:
         """Program ``number`` of ``programs`` is about to be compiled."""

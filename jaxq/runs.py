@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import safetensors.numpy
 
+from jaxq import machine
 from jaxq.plans import Plan
 from jaxq.tables import Row
 
@@ -253,16 +254,6 @@ def _machine() -> dict[str, Any]:
     packages = ("jaxq", "jax", "jaxlib", "flax", "optax", "numpy")
     return {
         "versions": {name: metadata.version(name) for name in packages} | {"python": platform.python_version()},
-        "cpu": _cpu(),
+        "cpu": machine.processor(),
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
-
-
-def _cpu() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

@@ -11,6 +11,7 @@ from typing import Any
 
 from jaxq import executables, tables
 from jaxq import lanes as engine
+from jaxq.compile_cache import CompileCache
 from jaxq.lanes import Progress
 from jaxq.plans import Plan, plan
 from jaxq.programs import hypers, program
@@ -31,6 +32,7 @@ class Timing:
     env_steps: int = 0
     updates: int = 0
     programs: int = 0
+    cached: int = 0  # of these programs, how many were not compiled because a cache held all of them
 
     def rows(self) -> Row:
         """The ``timing`` of the JSON output."""
@@ -41,6 +43,7 @@ class Timing:
             "env_steps_per_s": round(self.env_steps / seconds),
             "updates_per_s": round(self.updates / seconds),
             "programs": self.programs,
+            "cached": self.cached,
         }
 
 
@@ -70,6 +73,7 @@ def run(
     keep_episodes: bool = False,
     keep_max_q: bool = False,
     workers: int | None = None,
+    cache: CompileCache | None = None,
     on_compile: Callable[[int, int], None] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     on_result: Callable[[Result], None] | None = None,
@@ -77,6 +81,7 @@ def run(
 ) -> Outcome:
     """Runs all lanes that ``directory`` does not hold yet, writing results there as they come.
 
+    What ``cache`` holds is not compiled again.
     ``on_compile(i, n)`` is called before program i of n is built, ``on_result`` for each lane that ends,
     ``on_progress`` a few times a second. ``stop`` set: what ended is kept and the Outcome is not complete.
     """
@@ -98,9 +103,10 @@ def run(
             if on_compile:
                 on_compile(i + 1, len(groups))
             example = planned.settings[group[0][0]]
-            built = executables.build(program(example, planned.prng), hypers(example), planned.prng)
+            built = executables.build(program(example, planned.prng), hypers(example), planned.prng, cache)
             outcome.timing.compile_s += built.seconds
             outcome.timing.programs += 1
+            outcome.timing.cached += built.cached
             if directory is not None:
                 first = [one.structural() for one in planned.settings].index(example.structural())
                 directory.agree_width(first, built.program.width)
@@ -140,21 +146,33 @@ def run(
     return outcome
 
 
-def sweep(name: str, *, seeds: int = 1, root_seed: int = 0, prng: str | None = None, **values: Any) -> Outcome:
+def sweep(
+    name: str,
+    *,
+    seeds: int = 1,
+    root_seed: int = 0,
+    prng: str | None = None,
+    cache: CompileCache | None = None,
+    **values: Any,
+) -> Outcome:
     """Runs a preset over the grid of every value that is a list, times ``seeds`` seeds, and returns its rows.
 
-    ``jaxq.sweep("article-q", gamma=[0.95, 0.99], seeds=32).summary()``. Raises ValueError as ``plan`` does.
+    ``jaxq.sweep("article-q", gamma=[0.95, 0.99], seeds=32).summary()``. Nothing compiled is kept on disk unless a
+    ``cache`` is given, such as ``jaxq.compile_cache.user_cache()``. Raises ValueError as ``plan`` does.
     """
-    return run(plan(name, seeds=seeds, root_seed=root_seed, prng=prng, **values))
+    return run(plan(name, seeds=seeds, root_seed=root_seed, prng=prng, **values), cache=cache)
 
 
-def train(name: str, *, root_seed: int = 0, prng: str | None = None, **values: Any) -> Result:
+def train(
+    name: str, *, root_seed: int = 0, prng: str | None = None, cache: CompileCache | None = None, **values: Any
+) -> Result:
     """Trains one lane of a preset and returns it with its episodes, its policy and the value of every update.
 
-    ``jaxq.train("article-q").episodes.length``. Raises ValueError as ``plan`` does.
+    ``jaxq.train("article-q").episodes.length``. ``cache`` as for ``sweep``. Raises ValueError as ``plan`` does.
     """
     kept: list[Result] = []
-    run(plan(name, root_seed=root_seed, prng=prng, **values), keep_max_q=True, on_result=kept.append)
+    planned = plan(name, root_seed=root_seed, prng=prng, **values)
+    run(planned, keep_max_q=True, cache=cache, on_result=kept.append)
     return kept[0]
 
 

@@ -1,6 +1,9 @@
-"""What every test shares: the command line's XLA settings, and JAX's check that no key is used twice."""
+"""What every test shares: the command line's XLA settings, JAX's check that no key is used twice, and no cache of
+compiled programs unless a test makes one.
+"""
 
 import importlib.util
+import os
 from pathlib import Path
 
 import pytest
@@ -8,6 +11,7 @@ import pytest
 from jaxq import cpu
 
 cpu.tune()
+os.environ["JAXQ_CACHE_DIR"] = ""
 
 import jax  # noqa: E402 (after the settings)
 

@@ -13,13 +13,13 @@ PACKAGE = Path(__file__).parent.parent / "jaxq"
 #: Each module may import from lower rows only; modules of one row do not know each other unless listed together in
 #: a pair below.
 LAYERS = [
-    ["types", "families", "suggest", "cpu"],
+    ["types", "families", "suggest", "cpu", "machine"],
     ["prng", "rules", "schedules", "policies", "presets"],
     ["envs.auto_reset", "envs.cartpole", "envs.discretise", "networks", "optimisers", "replay", "success", "plans"],
     ["envs", "agents", "stats"],
     ["agents.tabular", "agents.dqn"],
     ["experiment"],
-    ["programs"],
+    ["programs", "compile_cache"],
     ["executables", "tally"],
     ["lanes"],
     ["tables"],
