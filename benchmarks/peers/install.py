@@ -3,14 +3,14 @@
     python benchmarks/peers/install.py [NAME ...]
 
 ``requirements.txt`` goes into ``.venv-peers`` and ``requirements-NAME.txt`` into ``.venv-peers-NAME``, made with the
-Python that runs this file. NAME is the folder of an environment; without any, all are made. Every requirement gets a
-line that says whether it is there and can be imported, or why not. The exit status is 1 when none is.
+Python that runs this file, of built packages only. NAME is the folder of an environment; without any, all are made.
+Every requirement gets a line that says whether it is there and can be imported, or why not. The exit status is 1 when
+none is.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
 import shutil
 import subprocess
 import sys
@@ -20,7 +20,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 
-#: Run by an environment's Python: imports what the distribution in argv brings, prints its version.
+#: Run by an environment's Python: imports what the distribution in argv brings.
 PROBE = """
 import importlib, sys
 from importlib import metadata
@@ -30,7 +30,6 @@ ours = [top for top, owners in metadata.packages_distributions().items()
 for top in ours:
     if not top.startswith("_") and top not in ("tests", "bin", "share"):
         importlib.import_module(top)
-print("VERSION", metadata.version(name))
 """
 
 
@@ -47,32 +46,38 @@ def requirements(file: Path) -> list[str]:
 
 
 def install(folder: str, file: Path) -> bool:
-    """Makes an environment anew and says of each requirement what came of it; whether any can be used."""
+    """Makes an environment anew and says of each requirement what came of it; returns whether any can be used."""
     path = ROOT / folder
     shutil.rmtree(path, ignore_errors=True)
     venv.create(path, with_pip=True)
     python = path / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    reasons: dict[str, str] = {}
-    if run(pip + ["-r", str(file)]):
-        for one in requirements(file):  # what cannot be had must not keep the others away
-            reasons[one] = run(pip + ["-c", str(file), one])
+    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:"]
+    wanted, reasons = requirements(file), {}
+    if run(pip + wanted):
+        for one in wanted:  # what cannot be had must not keep the others away
+            others = path / "others.txt"
+            others.write_text("\n".join(set(wanted) - {one}))
+            reasons[one] = run(pip + ["-c", str(others), one])
     usable = False
-    for one in requirements(file):
-        reason = reasons.get(one) or run([str(python), "-c", PROBE, re.split(r"[=<>!~;\[ ]", one)[0]])
-        usable |= not reason
-        print(f"{folder}: {one}: {'NOT INSTALLED, ' + reason if reason else 'installed'}", flush=True)
+    for one in wanted:
+        said = "installed"
+        if reasons.get(one):
+            said = f"NOT INSTALLED: {reasons[one]}"
+        elif broken := run([str(python), "-c", PROBE, one.split("==")[0]]):
+            said = f"NOT USABLE: {broken}"
+        usable |= said == "installed"
+        print(f"{folder}: {one}: {said}", flush=True)
     return usable
 
 
 def run(words: list[str]) -> str:
-    """Runs a command; empty, or the line that tells why it failed."""
+    """Runs a command; empty, or a line that tells why it failed."""
     done = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     if not done.returncode:
         return ""
     lines = [line.strip() for line in done.stdout.splitlines() if line.strip()]
-    telling = [line for line in lines if line.startswith("ERROR:")] or lines or [f"status {done.returncode}"]
-    return telling[-1].removeprefix("ERROR: ")[:300]
+    telling = [line for line in lines if line.startswith("ERROR:")] or lines[-1:] or [f"status {done.returncode}"]
+    return telling[0].removeprefix("ERROR: ")[:300]
 
 
 def main() -> None:
