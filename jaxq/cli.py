@@ -49,6 +49,8 @@ def _dispatch(arguments: list[str]) -> int:
     if command == "list":
         flags.Parser(prog="jaxq list", description=COMMANDS["list"]).parse_args(rest)
         return _list()
+    if command == "bench":
+        return _bench(rest)
     if command not in COMMANDS:
         raise UsageError(f"command {command!r} is unknown{nearest(command, COMMANDS)}")
     if not rest:
@@ -71,6 +73,18 @@ def _list() -> int:
     print("environments")
     for name in names():
         print(f"  {name}")
+    return EXIT_OK
+
+
+def _bench(words: list[str]) -> int:
+    from jaxq.bench import command
+
+    parser = flags.Parser(prog="jaxq bench", description=COMMANDS["bench"], allow_abbrev=False)
+    command.arguments(parser)
+    try:
+        command.run(parser.parse_args(words))
+    except ValueError as error:
+        raise UsageError(str(error)) from None
     return EXIT_OK
 
 

@@ -17,6 +17,7 @@ from jaxq.suggest import nearest
 COMMANDS = {
     "sweep": "train a preset over settings and seeds, many lanes at once",
     "train": "train one lane, with its episodes and pictures",
+    "bench": "measure the throughput of this machine",
     "list": "list the presets and environments",
 }
 

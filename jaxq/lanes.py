@@ -25,9 +25,9 @@ import numpy as np
 
 from jaxq import prng
 from jaxq.executables import Executables
-from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED, Log
+from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED
 from jaxq.machine import cores as cores
-from jaxq.tally import Lane, Result, Slot, absorb
+from jaxq.tally import Done, Lane, Result, Tally
 from jaxq.types import Hypers, PyTree
 
 #: Ended lanes wait for company, so that a whole group is evaluated at once, but no longer than this.
@@ -38,7 +38,12 @@ STATUS = {SOLVED: "solved", FINISHED: "finished", DIVERGED: "diverged"}
 
 @dataclass
 class Progress:
-    """What has been done so far; ``share`` counts the lanes that ended and the parts of those under way."""
+    """What has been done so far; ``share`` counts the lanes that ended and the parts of those under way.
+
+    ``pending_s`` are the workers' seconds while lanes were waiting for a slot, ``useful_s`` those of them in which
+    slots advanced a lane that had not ended: a segment of which a slot used half counts half of that slot.
+    ``queue_empty`` is the ``time.monotonic()`` at which the last lane got its slot.
+    """
 
     lanes: int
     done: int = 0
@@ -47,6 +52,9 @@ class Progress:
     env_steps: int = 0
     updates: int = 0
     share: float = 0.0
+    pending_s: float = 0.0
+    useful_s: float = 0.0
+    queue_empty: float | None = None
 
 
 def run(
@@ -114,7 +122,19 @@ class _Shared:
 
     def take(self) -> Lane | None:
         with self.lock:
-            return None if self.stopping() else next(self.lanes, None)
+            if self.stopping():
+                return None
+            lane = next(self.lanes, None)
+            if lane is None and self.progress.queue_empty is None:
+                self.progress.queue_empty = time.monotonic()
+            return lane
+
+    def pending(self, seconds: float, useful: float) -> None:
+        """A worker's seconds of one segment with all that belongs to it; they count while lanes are waiting."""
+        with self.lock:
+            if self.progress.queue_empty is None:
+                self.progress.pending_s += seconds
+                self.progress.useful_s += useful
 
     def count(self, worker: int, share: float, env_steps: int, updates: int, ended: list[str]) -> None:
         with self.lock:
@@ -132,23 +152,26 @@ class _Worker:
     """One group of slots, and the loop that keeps it full."""
 
     def __init__(self, built: Executables, shared: _Shared, root: np.ndarray, keep_max_q: bool):
-        self.built, self.shared, self.root, self.keep_max_q = built, shared, root, keep_max_q
+        self.built, self.shared, self.root = built, shared, root
         self.width = built.program.width
-        self.slots: list[Slot | None] = [None] * self.width
+        self.tally = Tally(built.program, keep_max_q)
         self.seeds = np.zeros(self.width, np.uint32)
         self.numbers: list[Hypers | None] = [None] * self.width  # of each slot, the last lane's where it is free
         self.stack, self.stack_ended = _Stack(), _Stack()
         self.hypers: Hypers | None = None
         self.state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), built.empty)
-        self.waiting: list[tuple[Slot, str, PyTree]] = []  # ended, not yet evaluated
+        self.waiting: list[tuple[Done, str, PyTree]] = []  # ended, not yet evaluated
         self.since = 0.0  # when the first of them ended
 
     def run(self) -> None:
         try:
+            began = time.monotonic()
             while self._refill():
-                self._advance()
+                useful = self._advance()
                 if len(self.waiting) >= self.width or (self.waiting and time.monotonic() - self.since > WAIT_SECONDS):
                     self._hand_on()
+                began, before = time.monotonic(), began
+                self.shared.pending(began - before, useful)
                 if self.shared.stopping():
                     break
             while self.waiting:
@@ -160,41 +183,39 @@ class _Worker:
     def _refill(self) -> bool:
         """Fills free slots from the queue; False when no slot holds a lane."""
         fresh = np.zeros(self.width, bool)
-        for i, slot in enumerate(self.slots):
-            if slot is None and (lane := self.shared.take()) is not None:
-                self.slots[i], self.seeds[i], fresh[i], self.numbers[i] = Slot(lane), lane.seed, True, lane.hypers
+        for i, held in enumerate(self.tally.slots):
+            if held is None and (lane := self.shared.take()) is not None:
+                self.tally.enter(i, lane)
+                self.seeds[i], fresh[i], self.numbers[i] = lane.seed, True, lane.hypers
         if fresh.any():
             some = next(numbers for numbers in self.numbers if numbers is not None)
             self.hypers = self.stack([some if numbers is None else numbers for numbers in self.numbers])
             self.state, log = self.built.start(self.root, self.state, fresh, self.seeds.copy(), self.hypers)
-            self._absorb(log, fresh)
-        return any(slot is not None for slot in self.slots)
+            self.tally.book(fresh, jax.tree.map(np.asarray, self.state.clock), log)
+        return any(lane is not None for lane in self.tally.slots)
 
-    def _advance(self) -> None:
-        self.state, log = self.built.advance(self.state, self.hypers)
-        steps, updates = self._absorb(log, np.array([slot is not None for slot in self.slots]))
+    def _advance(self) -> float:
+        """Runs a segment and books it; returns its seconds times the share of its steps that lanes made."""
+        began = time.monotonic()
+        self.state, log = jax.block_until_ready(self.built.advance(self.state, self.hypers))
+        seconds = time.monotonic() - began
+        live = np.array([lane is not None for lane in self.tally.slots])
+        steps, updates = self.tally.book(live, jax.tree.map(np.asarray, self.state.clock), log)
         status = np.asarray(self.state.status)
-        ended = [i for i, slot in enumerate(self.slots) if slot is not None and status[i] != RUNNING]
+        ended = np.flatnonzero(live & (status != RUNNING)).tolist()
         names: list[str] = []
         if ended:
             policies = jax.tree.map(np.asarray, self.built.policy(self.state, self.hypers))
             for i in ended:
-                slot = self.slots[i]
-                assert slot is not None
                 policy = jax.tree.map(partial(_row, i), policies)
                 # A last update may blow up after its loss was taken.
                 finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(policy))
                 names.append(STATUS[int(status[i])] if finite else "diverged")
                 if not self.waiting:
                     self.since = time.monotonic()
-                self.waiting.append((slot, names[-1], policy))
-                self.slots[i] = None
-        share = sum(slot.share() for slot in self.slots if slot is not None)
-        self.shared.count(id(self), share, steps, updates, names)
-
-    def _absorb(self, log: Log, which: np.ndarray) -> tuple[int, int]:
-        clock = jax.tree.map(np.asarray, self.state.clock)
-        return absorb(self.slots, which, clock, log, self.built.program, self.keep_max_q)
+                self.waiting.append((self.tally.leave(i), names[-1], policy))
+        self.shared.count(id(self), self.tally.share(), steps, updates, names)
+        return seconds * steps / log.over.size
 
     def _hand_on(self) -> None:
         """Evaluates up to a group of ended lanes together, and emits their results."""
@@ -204,20 +225,9 @@ class _Worker:
         hypers = self.stack_ended([entry[0].lane.hypers for entry in padded])
         seeds = np.array([entry[0].lane.seed for entry in padded], np.uint32)
         returns = np.asarray(self.built.evaluate(self.root, seeds, policy, hypers))
-        for (slot, status, weights), row in zip(batch, returns, strict=False):
-            self.shared.results.put(
-                Result(
-                    lane=slot.lane,
-                    status=status,
-                    env_steps=slot.env_steps,
-                    updates=slot.updates,
-                    episodes=slot.episodes(self.built.program.num_envs),
-                    curve=slot.curve,
-                    policy=weights,
-                    eval_returns=None if status == "diverged" else row.copy(),
-                    max_q=np.concatenate(slot.max_q) if slot.max_q else None,
-                )
-            )
+        for (done, status, weights), row in zip(batch, returns, strict=False):
+            returned = None if status == "diverged" else row.copy()
+            self.shared.results.put(Result(**done._asdict(), status=status, policy=weights, eval_returns=returned))
 
 
 def _row(i: int, rows: np.ndarray) -> np.ndarray:
@@ -234,5 +244,5 @@ class _Stack:
 
     def __call__(self, rows: list[Hypers]) -> Hypers:
         if len(rows) != len(self.rows) or any(new is not old for new, old in zip(rows, self.rows, strict=True)):
-            self.rows, self.stacked = rows, jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+            self.rows, self.stacked = rows, jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *rows))
         return self.stacked

@@ -60,7 +60,7 @@ def _(settings: TabularSettings, impl: str) -> Program:
             bootstrap_terminal=settings.bootstrap_terminal,
         )
 
-    made = experiment(make_env, make_agent, success=success.streak(), rounds=2000, impl=impl)
+    made = experiment(make_env, make_agent, success=success.streak(), rounds=4000, impl=impl)
     return Program(made, width=16, steps_per_round=1, num_envs=1)
 
 

@@ -33,6 +33,16 @@ class Timing:
     updates: int = 0
     programs: int = 0
     cached: int = 0  # of these programs, how many were not compiled because a cache held all of them
+    pending_s: float = 0.0  # workers' seconds while lanes were waiting for a slot
+    useful_s: float = 0.0  # those of them in which slots advanced their lanes
+    tail_s: float = 0.0  # from the last lane's start to the end
+
+    def book(self, progress: Progress) -> None:
+        """Adds what one program's engine says at its end."""
+        self.pending_s += progress.pending_s
+        self.useful_s += progress.useful_s
+        if progress.queue_empty is not None:
+            self.tail_s += time.monotonic() - progress.queue_empty
 
     def rows(self) -> Row:
         """The ``timing`` of the JSON output."""
@@ -44,6 +54,8 @@ class Timing:
             "updates_per_s": round(self.updates / seconds),
             "programs": self.programs,
             "cached": self.cached,
+            "useful_share": round(self.useful_s / self.pending_s, 3) if self.pending_s else None,
+            "tail_s": round(self.tail_s, 3),
         }
 
 
@@ -111,9 +123,11 @@ def run(
                 first = [one.structural() for one in planned.settings].index(example.structural())
                 directory.agree_width(first, built.program.width)
             began = time.perf_counter()
-            base = Progress(**vars(overall))
+            base, seen = Progress(**vars(overall)), Progress(0)
 
             def report(progress: Progress, base: Progress = base) -> None:
+                nonlocal seen
+                seen = progress
                 for name in ("done", "solved", "diverged", "env_steps", "updates"):
                     setattr(overall, name, getattr(base, name) + getattr(progress, name))
                 overall.share = base.done + progress.share
@@ -138,6 +152,7 @@ def run(
                     if on_result:
                         on_result(result)
             outcome.timing.run_s += time.perf_counter() - began
+            outcome.timing.book(seen)
     finally:
         sink.flush()
     outcome.timing.env_steps, outcome.timing.updates = overall.env_steps, overall.updates

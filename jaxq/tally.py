@@ -1,9 +1,11 @@
-"""What a lane has done: its episodes and curve, gathered from the logs of its segments."""
+"""What lanes have done: their episodes and curves, gathered from the logs of a group's segments.
+
+A segment is booked for the whole group at once; what one lane did is picked out of the books when it ends.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -57,84 +59,136 @@ class Result:
     max_q: np.ndarray | None  # of every update, when asked for
 
 
-@dataclass
-class Slot:
-    """A lane under way, and what it has done so far."""
+class Done(NamedTuple):
+    """A lane that has left its group, before its evaluation."""
 
     lane: Lane
-    env_steps: int = 0
-    updates: int = 0
-    chunks: list[tuple[np.ndarray, ...]] = field(default_factory=list)
-    curve: list[Segment] = field(default_factory=list)
-    max_q: list[np.ndarray] = field(default_factory=list)
+    env_steps: int
+    updates: int
+    episodes: Episodes
+    curve: list[Segment]
+    max_q: np.ndarray | None
+
+
+class _Record(NamedTuple):
+    """A segment of the group: a row per finished episode, a column per lane."""
+
+    lane: np.ndarray  # the slot of each episode that ended
+    env: np.ndarray
+    tick: np.ndarray  # steps of each environment before the episode's last
+    total: np.ndarray
+    value: np.ndarray  # max_q of the update at its last step
+    valid: np.ndarray  # [L] rounds that count
+    curve: np.ndarray  # [7, L], the fields of Segment
+    max_q: np.ndarray | None  # [U, L], where it is kept
+
+
+class Tally:
+    """The books of one group. ``slots`` [L] holds the lane of each slot, None where it is free.
+
+    ``keep_max_q``: the value of every update is kept, for ``jaxq train``.
+    """
+
+    def __init__(self, program: Program, keep_max_q: bool):
+        self.program, self.keep_max_q = program, keep_max_q
+        self.slots: list[Lane | None] = [None] * program.width
+        self.env_steps, self.updates, self.episodes = (np.zeros(program.width, int) for _ in range(3))
+        self.limits = np.ones((2, program.width))  # of env steps and episodes
+        self.first = [0] * program.width  # each lane's first record, counted from the beginning
+        self.records: list[_Record] = []
+        self.dropped = 0
+
+    def enter(self, slot: int, lane: Lane) -> None:
+        """A lane takes a free slot."""
+        self.slots[slot], self.first[slot] = lane, self.dropped + len(self.records)
+        self.env_steps[slot] = self.updates[slot] = self.episodes[slot] = 0
+        self.limits[:, slot] = max(1, lane.hypers.run.max_env_steps), max(1, lane.hypers.run.max_episodes)
+
+    def book(self, which: np.ndarray, clock: Clock, log: Log) -> tuple[int, int]:
+        """Books a log of the lanes that ``which`` marks; returns the env steps and updates that they made.
+
+        Shapes: which [L] bool; clock of [L]; log as ``Executables.advance`` returns it.
+        """
+        env_steps, updates, episodes = (
+            np.where(which, now, before)
+            for now, before in (
+                (clock.env_steps, self.env_steps),
+                (clock.updates, self.updates),
+                (clock.episodes, self.episodes),
+            )
+        )
+        over, total, max_q, loss, epsilon = (np.asarray(x) for x in log)
+        _, width, per_round, num_envs = over.shape
+        valid = (env_steps - self.env_steps) // (per_round * num_envs)
+        u, lane, t, n = np.unravel_index(np.flatnonzero(over), over.shape)
+        inside = u < valid[lane]
+        u, lane, t, n = u[inside], lane[inside], t[inside], n[inside]
+        returns = total[u, lane, t, n]
+        ended = np.bincount(lane, minlength=width)
+        learned = updates > self.updates
+        with np.errstate(invalid="ignore"):
+            mean_return = np.bincount(lane, returns, width) / np.where(ended > 0, ended, np.nan)
+            mean_loss, mean_q = (np.where(learned, _means(values, valid), np.nan) for values in (loss, max_q))
+        self.records.append(
+            _Record(
+                lane=lane,
+                env=n,
+                tick=self.env_steps[lane] // num_envs + u * per_round + t,
+                total=returns,
+                value=max_q[u, lane],
+                valid=valid,
+                curve=np.array([env_steps, episodes, updates, mean_return, mean_loss, mean_q, epsilon], float),
+                max_q=max_q if self.keep_max_q else None,
+            )
+        )
+        made = int((env_steps - self.env_steps).sum()), int((updates - self.updates).sum())
+        self.env_steps, self.updates, self.episodes = env_steps, updates, episodes
+        return made
 
     def share(self) -> float:
-        """The part of a lane that is surely done: it may end before its limits."""
-        limits = self.lane.hypers.run
-        done = [self.env_steps / max(1, float(limits.max_env_steps))]
-        if self.curve:
-            done.append(self.curve[-1].episodes / max(1, float(limits.max_episodes)))
-        return min(1.0, max(done))
+        """The parts of the lanes under way that are surely done, summed: a lane may end before its limits."""
+        held = [lane is not None for lane in self.slots]
+        return float(np.minimum(1, np.max([self.env_steps, self.episodes] / self.limits, axis=0))[held].sum())
 
-    def episodes(self, num_envs: int) -> Episodes:
-        """The finished episodes so far."""
-        if not self.chunks:
-            nothing = np.zeros(0)
-            return Episodes(nothing.astype(int), nothing.astype(int), nothing, nothing)
-        tick, env, returns, max_q = (np.concatenate(column) for column in zip(*self.chunks, strict=True))
-        length = np.empty(tick.shape, int)
-        for n in range(num_envs):
-            own = env == n
-            length[own] = np.diff(tick[own], prepend=-1)
-        return Episodes((tick + 1) * num_envs, length, returns.astype(float), max_q.astype(float))
+    def leave(self, slot: int) -> Done:
+        """A lane frees its slot, and takes along what it has done. Raises ValueError for a free slot."""
+        lane = self.slots[slot]
+        if lane is None:
+            raise ValueError(f"slot {slot} is free")
+        records = [r for r in self.records[self.first[slot] - self.dropped :] if r.valid[slot] > 0]
+        done = Done(
+            lane=lane,
+            env_steps=int(self.env_steps[slot]),
+            updates=int(self.updates[slot]),
+            episodes=_episodes(records, slot, self.program.num_envs),
+            curve=[
+                Segment(int(steps), int(episodes), int(updates), *means)
+                for steps, episodes, updates, *means in (r.curve[:, slot].tolist() for r in records)
+            ],
+            max_q=np.concatenate([r.max_q[: r.valid[slot], slot] for r in records if r.max_q is not None])
+            if self.keep_max_q and records
+            else None,
+        )
+        self.slots[slot] = None
+        in_use = [first for first, held in zip(self.first, self.slots, strict=True) if held is not None]
+        oldest = min(in_use, default=self.dropped + len(self.records))
+        del self.records[: oldest - self.dropped]
+        self.dropped = oldest
+        return done
 
 
-def absorb(
-    slots: Sequence[Slot | None], which: np.ndarray, clock: Clock, log: Log, program: Program, keep_max_q: bool
-) -> tuple[int, int]:
-    """Sorts a group's log into its slots, those that ``which`` marks; returns the env steps and updates that were done.
-
-    Shapes: which [L] bool; clock of [L]; log as ``Executables.advance`` returns it.
-    """
-    env_steps, updates, episodes = (np.asarray(x) for x in (clock.env_steps, clock.updates, clock.episodes))
-    over, total, max_q, loss, epsilon = (np.asarray(x) for x in log)
-    _, width, per_round, num_envs = over.shape
-    before = np.array([slot.env_steps if slot else 0 for slot in slots])
-    valid = np.where(which, (env_steps - before) // (per_round * num_envs), 0)
-    u, lane, t, n = np.unravel_index(np.flatnonzero(over), over.shape)
-    inside = u < valid[lane]
-    u, lane, t, n = u[inside], lane[inside], t[inside], n[inside]
-    order = np.argsort(lane, kind="stable")
-    edges = np.searchsorted(lane[order], np.arange(width + 1))
-    tick = before[lane] // num_envs + u * per_round + t
-    returns, values = total[u, lane, t, n], max_q[u, lane]
-    mean_return = np.bincount(lane, returns, width) / np.maximum(np.bincount(lane, minlength=width), 1)
-    mean_loss, mean_q = _means(loss, valid), _means(max_q, valid)
-    done_steps = done_updates = 0
-    for i in np.flatnonzero(which).tolist():
-        slot = slots[i]
-        assert slot is not None
-        mine = order[edges[i] : edges[i + 1]]
-        if mine.size:
-            slot.chunks.append((tick[mine], n[mine], returns[mine], values[mine]))
-        learned = updates[i] > slot.updates
-        done_steps, done_updates = done_steps + env_steps[i] - slot.env_steps, done_updates + updates[i] - slot.updates
-        slot.env_steps, slot.updates = int(env_steps[i]), int(updates[i])
-        if valid[i]:
-            slot.curve.append(
-                Segment(
-                    env_steps=slot.env_steps,
-                    episodes=int(episodes[i]),
-                    updates=slot.updates,
-                    train_return=float(mean_return[i]) if mine.size else float("nan"),
-                    loss=float(mean_loss[i]) if learned else float("nan"),
-                    max_q=float(mean_q[i]) if learned else float("nan"),
-                    epsilon=float(epsilon[i]),
-                )
-            )
-            if keep_max_q:
-                slot.max_q.append(max_q[: valid[i], i].copy())
-    return int(done_steps), int(done_updates)
+def _episodes(records: list[_Record], slot: int, num_envs: int) -> Episodes:
+    """The finished episodes of a slot in these records."""
+    if not records:
+        nothing = np.zeros(0)
+        return Episodes(nothing.astype(int), nothing.astype(int), nothing, nothing)
+    mine = np.concatenate([r.lane for r in records]) == slot
+    env, tick, returns, max_q = (np.concatenate(column)[mine] for column in list(zip(*records, strict=True))[1:5])
+    length = np.empty(tick.shape, int)
+    for n in range(num_envs):
+        own = env == n
+        length[own] = np.diff(tick[own], prepend=-1)
+    return Episodes((tick + 1) * num_envs, length, returns.astype(float), max_q.astype(float))
 
 
 def _means(values: np.ndarray, valid: np.ndarray) -> np.ndarray:

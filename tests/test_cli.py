@@ -49,7 +49,9 @@ def test_json_has_a_row_per_lane_a_row_per_setting_and_the_timing(swept):
     assert [(row["config"], row["seed"]) for row in out["lanes"]] == [(c, s) for c in (0, 1) for s in range(12)]
     assert set(LANE_COLUMNS) <= set(out["lanes"][0])
     assert {row["gamma"] for row in out["lanes"] if row["config"] == 1} == {0.99}
-    assert set(out["timing"]) == {"compile_s", "run_s", "env_steps_per_s", "updates_per_s", "programs", "cached"}
+    speeds = {"compile_s", "run_s", "env_steps_per_s", "updates_per_s", "useful_share", "tail_s"}
+    assert set(out["timing"]) == speeds | {"programs", "cached"}
+    assert 0 <= out["timing"]["tail_s"] <= out["timing"]["run_s"] + 0.1
     assert out["timing"]["programs"] == 1
     for row in out["summary"]:
         mine = [lane for lane in out["lanes"] if lane["config"] == row["config"]]

@@ -1,6 +1,7 @@
 """The engine's promises: a lane's result depends on its setting and seed alone, and one program serves all."""
 
 import threading
+import time
 
 import jax
 import numpy as np
@@ -152,3 +153,18 @@ def test_an_error_in_a_worker_reaches_the_caller():
     compiled = executables.build(programs.program(one, PRNG), programs.hypers(one), PRNG)
     with pytest.raises(ValueError, match="seed"):
         finish(compiled, [Lane(0, "seed", programs.hypers(one))])
+
+
+def test_time_with_lanes_waiting_is_counted_apart_from_the_tail():
+    kept = []
+    planned = plan("article-q", max_episodes=30, seeds=100)
+    numbers = programs.hypers(planned.settings[0])
+    built = executables.build(programs.program(planned.settings[0], "pcg4d"), numbers, "pcg4d")
+    lanes = (Lane(0, seed, numbers) for seed in range(100))
+    began = time.monotonic()
+    results = list(engine.run(built, lanes, root_seed=0, impl="pcg4d", total=100, workers=2, on_progress=kept.append))
+    took = time.monotonic() - began
+    last = kept[-1]
+    assert len(results) == 100
+    assert 0 < last.useful_s < last.pending_s < 2 * took
+    assert began < last.queue_empty < began + took

@@ -13,8 +13,9 @@ PACKAGE = Path(__file__).parent.parent / "jaxq"
 #: Each module may import from lower rows only; modules of one row do not know each other unless listed together in
 #: a pair below.
 LAYERS = [
-    ["types", "families", "suggest", "cpu", "machine"],
-    ["prng", "rules", "schedules", "policies", "presets"],
+    ["types", "families", "suggest", "cpu", "machine", "bench.worker"],
+    ["bench.contest", "bench.report", "bench"],
+    ["prng", "trigonometry", "rules", "schedules", "policies", "presets"],
     ["envs.auto_reset", "envs.cartpole", "envs.discretise", "networks", "optimisers", "replay", "success", "plans"],
     ["envs", "agents", "stats"],
     ["agents.tabular", "agents.dqn"],
@@ -24,7 +25,8 @@ LAYERS = [
     ["lanes"],
     ["tables"],
     ["runs", "plots", "report", "progress", "flags"],
-    ["sweeps"],
+    ["sweeps", "bench.env", "bench.tabular", "bench.dqn", "bench.suites"],
+    ["bench.command"],
     ["cli"],
     ["__main__"],
 ]
