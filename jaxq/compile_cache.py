@@ -102,7 +102,8 @@ class CompileCache:
             path.unlink()
 
     def _keep(self, path: Path, compiled: jax.stages.Compiled) -> None:
-        if not self._writable:
+        # What JAX may have loaded from a cache of its own, XLA writes without its code.
+        if not self._writable or jax.config.jax_compilation_cache_dir:
             return
         try:
             content = serialize_executable.serialize(compiled)[0]
