@@ -103,7 +103,7 @@ class CompileCache:
 
     def _keep(self, path: Path, compiled: jax.stages.Compiled) -> None:
         # What JAX may have loaded from a cache of its own, XLA writes without its code.
-        if not self._writable or jax.config.jax_compilation_cache_dir:
+        if not self._writable or jax.config.values.get("jax_compilation_cache_dir"):
             return
         try:
             content = serialize_executable.serialize(compiled)[0]
@@ -117,7 +117,8 @@ class CompileCache:
             self._writable = False
             self._say(f"compiled programs are not kept in {self.directory}: {error.strerror}")
         else:
-            self._evict()
+            with contextlib.suppress(OSError):
+                self._evict()
 
     def _evict(self) -> None:
         """Removes the entries, of all versions, that were used longest ago."""
