@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 READY := $(VENV)/.ready-$(VERSION)
 
-.PHONY: demo test lint lock notebook peers clean
+.PHONY: demo test lint lock notebook bench bench-peers peers clean
 
 demo: $(READY)
 	$(BIN)/jaxq sweep article-q --gamma 0.9 0.95 0.99 --seeds 100 --out runs/demo-q-sweep --overwrite
@@ -37,6 +37,16 @@ lock:
 
 notebook: $(READY)
 	$(BIN)/python notebooks/execute.py
+
+# Our suites beside the limits of this machine; tables, pictures and ratios go to docs/benchmarks.md.
+bench: $(READY)
+	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks.page
+
+# The same beside the peers.
+bench-peers: $(READY) peers
+	$(BIN)/python -m benchmarks --peers
+	$(BIN)/python -m benchmarks.page
 
 # What the benchmarks are compared with; says what cannot be installed.
 peers:

@@ -62,6 +62,7 @@ BARS = [
     Bar("dqn", "jaxq", "plain JAX, one vmap", least=3, case="128"),
     Bar("dqn", "jaxq", "jaxq, one vmap", case="128"),
     Bar("dqn", "jaxq", "the tutorial, PyTorch", least=20),
+    Bar("dqn", "jaxq", "the tutorial, PyTorch, 2 threads", least=20),
     Bar("dqn", "jaxq", "stable-baselines3"),
     Bar("dqn", "jaxq", "sbx"),
     Bar("dqn", "jaxq", "rejax", least=3),
@@ -85,13 +86,14 @@ def _peer(name: str, file: str, which: Sequence[str], *arguments: str, folder: s
 
 #: Contenders with environments of their own: ``make peers``.
 PEERS_OF: dict[str, Sequence[Contender]] = {
-    "env": [_peer("gymnax", "gymnax_env.py", ENVS), _peer("envpool", "envpool_env.py", ENVS)],
+    "env": [_peer("gymnax", "gymnax_env.py", ENVS, folder=".venv-peers-gymnax"), _peer("envpool", "envpool_env.py", ENVS[:6])],
     "tabular": [
         _peer("the tutorial, NumPy", "numpy_table.py", cases(1)),
         _peer("Numba", "numba_table.py", LANES),
     ],
     "dqn": [
-        _peer("the tutorial, PyTorch", "torch_dqn.py", cases(1)),
+        _peer("the tutorial, PyTorch", "torch_dqn.py", cases(1), "1"),
+        _peer("the tutorial, PyTorch, 2 threads", "torch_dqn.py", cases(1), "2"),
         *(
             _peer(f"{name}{suffix}", file, which, setting, folder=folder)
             for name, file, which, folder in (

@@ -35,11 +35,14 @@ def page(results: Mapping[str, Mapping[str, Any]]) -> str:
         parts += [
             f"## {name}: {SUITES[name].summary}",
             f"`python -m benchmarks {name}{' --peers' if _with_peers(result) else ''}`, {result['began'][:10]}; "
-            f"{machine['cpu']}, {machine['cores']} cores, {machine['system']}; {result['unit']} per second, median of "
-            f"{result['repeats']} turns of at least {result['seconds']:g} s.",
-            f"![{name}](benchmarks/{name}.png)",
-            table(report.grid(result, result["axis"])),
+            f"{machine['cpu']}, {machine['cores']} cores, {machine['system']}; "
+            + ("seconds" if result.get("whole") else f"{result['unit']} per second")
+            + f", median of {result['repeats']} turns"
+            + (f" of at least {result['seconds']:g} s." if result["seconds"] else "."),
         ]
+        if _counts(result):
+            parts.append(f"![{name}](benchmarks/{name}.png)")
+        parts += [table(lines) for lines in (report.grid(result, result["axis"]), report.notes(result)) if lines]
         if result["ratios"]:
             parts.append(table(ratio_rows(result)))
         failed = report.errors(result)
@@ -47,6 +50,11 @@ def page(results: Mapping[str, Mapping[str, Any]]) -> str:
             parts.append("Not run:\n\n" + "\n".join(f"- {line}" for line in failed))
         parts.append(versions(result))
     return "\n\n".join(parts) + "\n"
+
+
+def _counts(result: Mapping[str, Any]) -> bool:
+    """Whether the cases are numbers, and so make an axis of a picture."""
+    return all(row["case"].isdigit() for row in result["rows"])
 
 
 def _with_peers(result: Mapping[str, Any]) -> bool:
@@ -91,7 +99,6 @@ def picture(result: Mapping[str, Any], path: Path) -> None:
     names = list(dict.fromkeys(row["contender"] for row in result["rows"]))
     for index, name in enumerate(names):
         rows = [row for row in result["rows"] if row["contender"] == name and row["median"]]
-        rows = [row for row in rows if row["case"].isdigit()]
         if not rows:
             continue
         style = {"linewidth": 2.5} if name.startswith("jaxq") else {"linewidth": 1.2, "linestyle": "--"}
@@ -114,7 +121,8 @@ def main() -> None:
     results = {name: results[name] for name in SUITES if name in results}
     (DOCS / "benchmarks").mkdir(exist_ok=True)
     for name, result in results.items():
-        picture(result, DOCS / "benchmarks" / f"{name}.png")
+        if _counts(result):
+            picture(result, DOCS / "benchmarks" / f"{name}.png")
     (DOCS / "benchmarks.md").write_text(page(results))
     print(DOCS / "benchmarks.md")
 

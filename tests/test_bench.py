@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxq import prng
-from jaxq.bench import contest, dqn, env, report, suites, tabular
+from jaxq.bench import contest, dqn, env, report, suites, sweep, tabular
 from jaxq.bench.contest import Contender
 from jaxq.cli import main
 from jaxq.envs import make
@@ -148,6 +148,33 @@ def test_the_dqn_contender_makes_every_update_it_counts(monkeypatch, setting, ea
     monkeypatch.setattr(dqn, "MOST", each)
     monkeypatch.setattr(dqn, "BOUT", 2**10)
     assert dqn.prepare("2", setting)() == 2 * each
+
+
+def test_a_module_may_do_its_own_warm_up_and_tell_more(tmp_path):
+    path = tmp_path / "contender.py"
+    path.write_text(
+        "WARM_UP = False\nruns = []\ndef prepare(case):\n    def bout():\n        runs.append(case)\n"
+        "        return 1.0\n    return bout\ndef notes(case):\n    return {'runs': len(runs)}\n"
+    )
+    result = contest.contest([Contender("one", str(path), ("a",))], repeats=2, seconds=0)
+    assert rows_of(result)["one", "a"]["notes"] == {"runs": 2}
+    assert report.notes(result) == [["last run", "runs"], ["a, one", "2"]]
+    assert report.notes({"rows": []}) == []
+
+
+def test_whole_runs_are_shown_in_seconds():
+    row = {"contender": "one", "case": "a", "median": 0.25, "spread": 0.1, "error": None}
+    assert report.grid({"rows": [row], "whole": True}, "command")[1] == ["a", "4.00 s (±5 %)"]
+
+
+def test_the_sweep_contender_runs_the_command_cold_and_warm(monkeypatch):
+    monkeypatch.setitem(sweep.COMMANDS, "small", ["q-learning", "--max-episodes", "20", "--seeds", "3"])
+    for cache, cached in (("cold", 0), ("warm", 1)):
+        assert sweep.prepare("small", cache)() == 1.0
+        assert sweep.notes("small")["cached"] == cached
+    monkeypatch.setitem(sweep.COMMANDS, "wrong", ["q-learning", "--gamma", "2"])
+    with pytest.raises(RuntimeError, match="gamma"):
+        sweep.prepare("wrong", "cold")()
 
 
 def test_every_contender_of_ours_has_its_module_and_cases():

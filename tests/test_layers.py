@@ -25,7 +25,7 @@ LAYERS = [
     ["lanes"],
     ["tables"],
     ["runs", "plots", "report", "progress", "flags"],
-    ["sweeps", "bench.env", "bench.tabular", "bench.dqn", "bench.suites"],
+    ["sweeps", "bench.env", "bench.tabular", "bench.dqn", "bench.sweep", "bench.suites"],
     ["bench.command"],
     ["cli"],
     ["__main__"],

@@ -58,7 +58,13 @@ def run(
                 seconds=suite.seconds if options.seconds is None else options.seconds,
                 on_turn=bar.turn,
             )
-        results[suite.name] = {"suite": suite.name, "unit": suite.unit, "axis": suite.axis, **result}
+        results[suite.name] = {
+            "suite": suite.name,
+            "unit": suite.unit,
+            "axis": suite.axis,
+            "whole": suite.whole,
+            **result,
+        }
         if not options.json:
             show(results[suite.name], suite)
     if options.json:
@@ -70,8 +76,12 @@ def show(result: dict[str, Any], suite: Suite) -> None:
     """A suite's table on stdout, and what could not run on stderr."""
     machine = result["machine"]
     print(f"{suite.name}: {suite.summary}")
-    print(f"{suite.unit}/s, median of {result['repeats']}; {machine['cpu']}, {machine['cores']} cores")
-    print(report.text(report.grid(result, suite.axis)), end="\n\n", flush=True)
+    shown = "seconds" if suite.whole else f"{suite.unit}/s"
+    print(f"{shown}, median of {result['repeats']}; {machine['cpu']}, {machine['cores']} cores")
+    print(report.text(report.grid(result, suite.axis)), end="\n\n")
+    if told := report.notes(result):
+        print(report.text(told), end="\n\n")
+    sys.stdout.flush()
     for line in report.errors(result):
         print(f"not run: {line}", file=sys.stderr)
 

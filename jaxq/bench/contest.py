@@ -49,6 +49,7 @@ class Row:
     rates: list[float] = field(default_factory=list)
     prepare_s: float | None = None
     error: str | None = None
+    notes: dict[str, Any] = field(default_factory=dict)
 
     @property
     def median(self) -> float | None:
@@ -102,7 +103,7 @@ def contest(
                 row.error = answer["error"]
             else:
                 row.rates.append(answer["rate"])
-                row.prepare_s = answer["prepare_s"]
+                row.prepare_s, row.notes = answer["prepare_s"], answer["notes"]
     return {
         "machine": {"cpu": machine.processor(), "cores": machine.cores(), "system": platform.system()},
         "began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),
@@ -152,6 +153,10 @@ def _process(contender: Contender) -> Iterator[Callable[..., dict[str, Any]]]:
 
     try:
         yield ask
+        with suppress(BrokenPipeError):
+            stdin.close()  # which ends it
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=10)
     finally:
         process.kill()
         process.wait()

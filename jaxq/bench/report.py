@@ -26,17 +26,31 @@ def grid(result: Mapping[str, Any], axis: str) -> list[list[str]]:
     found = {(row["contender"], row["case"]): row for row in result["rows"]}
     lines = [[axis, *names]]
     for case in order:
-        cells = (_cell(found.get((name, case))) for name in names)
+        cells = (_cell(found.get((name, case)), result.get("whole", False)) for name in names)
         lines.append([f"{int(case):,}" if case.isdigit() else case, *cells])
     return lines
 
 
-def _cell(row: Mapping[str, Any] | None) -> str:
+def _cell(row: Mapping[str, Any] | None, whole: bool) -> str:
     if row is None:
         return ""
     if row["error"]:
         return "error"
-    return f"{rate(row['median'])} (±{50 * row['spread']:.0f} %)" if row["median"] else "-"
+    if not row["median"]:
+        return "-"
+    shown = f"{1 / row['median']:.2f} s" if whole else rate(row["median"])
+    return f"{shown} (±{50 * row['spread']:.0f} %)"
+
+
+def notes(result: Mapping[str, Any]) -> list[list[str]]:
+    """Rows of a table of what contenders told of their last bout; empty when none did."""
+    told = [row for row in result["rows"] if row.get("notes")]
+    names = list(dict.fromkeys(name for row in told for name in row["notes"]))
+    lines = [["last run", *names]]
+    for row in told:
+        cells = ("" if row["notes"].get(name) is None else f"{row['notes'][name]:,}" for name in names)
+        lines.append([f"{row['case']}, {row['contender']}", *cells])
+    return lines if told else []
 
 
 def errors(result: Mapping[str, Any]) -> list[str]:

@@ -10,7 +10,10 @@ from jaxq.bench.contest import Contender
 
 @dataclass(frozen=True)
 class Suite:
-    """Contenders on the same work. ``unit`` is what a rate counts per second, ``axis`` what a case's number is."""
+    """Contenders on the same work. ``unit`` is what a rate counts per second, ``axis`` what a case is.
+
+    Of ``whole`` runs the seconds are shown instead of their rate.
+    """
 
     name: str
     summary: str
@@ -19,6 +22,7 @@ class Suite:
     contenders: Sequence[Contender]
     repeats: int = 5
     seconds: float = 0.5
+    whole: bool = False
 
 
 def cases(*counts: int) -> tuple[str, ...]:
@@ -29,6 +33,8 @@ def cases(*counts: int) -> tuple[str, ...]:
 ENVS = cases(1, 16, 64, 256, 1024, 4096, 16_384, 65_536)
 LANES = cases(1, 16, 64, 256, 1024, 4096, 16_384)
 GROUPS = cases(1, 8, 32, 128, 512, 1024)
+
+COMMANDS = ("article-q, 1 seed", "article-q, 1024 seeds", "dqn, 64 settings, 16 seeds")
 
 SUITES = {
     suite.name: suite
@@ -64,6 +70,19 @@ SUITES = {
                 Contender("jaxq, 120-84", "jaxq.bench.dqn", GROUPS[:4], ("cleanrl",)),
             ],
             repeats=3,
+        ),
+        Suite(
+            "sweep",
+            "whole commands, from start to end",
+            "runs",
+            "command",
+            [
+                Contender("compile cache empty", "jaxq.bench.sweep", COMMANDS[:2], ("cold",)),
+                Contender("compile cache full", "jaxq.bench.sweep", COMMANDS, ("warm",)),
+            ],
+            repeats=3,
+            seconds=0,
+            whole=True,
         ),
     )
 }

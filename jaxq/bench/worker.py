@@ -7,9 +7,11 @@ not installed for. MODULE is a dotted name or the path of a file, and offers
 
     ``prepare(case: str, *arguments: str) -> Callable[[], float]``: everything that is not to be timed; what it returns
     does one bout of work, waits for its end and returns the units of work done;
-    ``PACKAGES``: the names of the packages whose versions belong beside the figures.
+    ``PACKAGES``: the names of the packages whose versions belong beside the figures;
+    ``WARM_UP`` (optional): False when the first bout is not to be left out;
+    ``notes(case) -> dict`` (optional): more to be told of the last bout.
 
-Each line of stdin is a JSON request {"case", "seconds"}; each answer is a line of JSON: {"rate", "bouts", "prepare_s"},
+Each line of stdin is a JSON request {"case", "seconds"}; each answer a line: {"rate", "bouts", "prepare_s", "notes"},
 units per second over whole bouts that fill at least ``seconds``, or {"error"}. The first bout after ``prepare``
 compiles and warms up; it counts as preparation. The first line of all tells {"versions"}, or {"error"} and the end.
 """
@@ -23,6 +25,7 @@ import importlib.util
 import json
 import os
 import platform
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -31,6 +34,7 @@ from typing import Any
 
 
 def main() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks, who then ends this process
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what a library prints is talk, not an answer
 
@@ -55,12 +59,13 @@ def main() -> None:
 
 def measure(
     module: Any, prepared: dict[str, tuple[Any, float]], case: str, seconds: float, arguments: Sequence[str] = ()
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """Units per second of one case, over whole bouts that fill at least ``seconds``."""
     if case not in prepared:
         began = time.perf_counter()
         bout = module.prepare(case, *arguments)
-        bout()
+        if getattr(module, "WARM_UP", True):
+            bout()
         prepared[case] = bout, time.perf_counter() - began
     bout, prepare_s = prepared[case]
     gc.collect()
@@ -73,7 +78,8 @@ def measure(
         elapsed = time.perf_counter() - began
     finally:
         gc.enable()
-    return {"rate": units / elapsed, "bouts": bouts, "prepare_s": prepare_s}
+    told = module.notes(case) if hasattr(module, "notes") else {}
+    return {"rate": units / elapsed, "bouts": bouts, "prepare_s": prepare_s, "notes": told}
 
 
 def load(name: str) -> Any:
