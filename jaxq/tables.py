@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from jaxq import stats
 from jaxq.presets import Settings
-from jaxq.tally import Result
+from jaxq.tally import Curve, Result
 
 Row = dict[str, Any]
 
@@ -28,7 +29,7 @@ def lane_row(result: Result, settings: Settings) -> Row:
     return {
         "config": result.lane.config,
         "seed": result.lane.seed,
-        **{name: _plain(value) for name, value in settings.model_dump().items()},
+        **_columns(settings),
         "status": result.status,
         "episodes": episodes,
         "env_steps": result.env_steps,
@@ -42,14 +43,21 @@ def lane_row(result: Result, settings: Settings) -> Row:
     }
 
 
+@lru_cache(maxsize=1024)
+def _columns(settings: Settings) -> Row:
+    """Every hyperparameter by name. Many lanes share one setting."""
+    return {name: _plain(value) for name, value in settings.model_dump().items()}
+
+
 def curve_rows(result: Result) -> list[Row]:
     """One row per lane and segment."""
-    key = {"config": result.lane.config, "seed": result.lane.seed}
-    rows = []
-    for segment in result.curve:
-        row = {name: _number(value) for name, value in segment._asdict().items()}
-        row |= {name: int(getattr(segment, name)) for name in ("env_steps", "episodes", "updates")}
-        rows.append({**key, **row, "eval_return": None})
+    config, seed = result.lane.config, result.lane.seed
+    counts = (column.astype(int).tolist() for column in result.curve[:3])
+    means = ([_number(value) for value in column.tolist()] for column in result.curve[3:])
+    rows: list[Row] = [
+        {"config": config, "seed": seed, **dict(zip(Curve._fields, values, strict=True)), "eval_return": None}
+        for values in zip(*counts, *means, strict=True)
+    ]
     if rows and result.eval_returns is not None:
         rows[-1]["eval_return"] = _number(result.eval_returns.mean())
     return rows

@@ -32,16 +32,17 @@ class Episodes(NamedTuple):
     max_q: np.ndarray  # of the update at its last step; NaN in the warm-up
 
 
-class Segment(NamedTuple):
-    """A lane's totals at the end of a segment; means over the segment, NaN where there was nothing to average."""
+class Curve(NamedTuple):
+    """A lane's totals at the end of each segment; means over the segment, NaN where there was nothing to average.
+    Arrays of one length, float64."""
 
-    env_steps: int
-    episodes: int
-    updates: int
-    train_return: float
-    loss: float
-    max_q: float
-    epsilon: float
+    env_steps: np.ndarray
+    episodes: np.ndarray
+    updates: np.ndarray
+    train_return: np.ndarray
+    loss: np.ndarray
+    max_q: np.ndarray
+    epsilon: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Result:
     env_steps: int
     updates: int
     episodes: Episodes
-    curve: list[Segment]
+    curve: Curve
     policy: PyTree
     eval_returns: np.ndarray | None  # None for a diverged lane
     max_q: np.ndarray | None  # of every update, when asked for
@@ -66,20 +67,16 @@ class Done(NamedTuple):
     env_steps: int
     updates: int
     episodes: Episodes
-    curve: list[Segment]
+    curve: Curve
     max_q: np.ndarray | None
 
 
 class _Record(NamedTuple):
-    """A segment of the group: a row per finished episode, a column per lane."""
+    """A segment of the group: a column per finished episode, and one per lane."""
 
-    lane: np.ndarray  # the slot of each episode that ended
-    env: np.ndarray
-    tick: np.ndarray  # steps of each environment before the episode's last
-    total: np.ndarray
-    value: np.ndarray  # max_q of the update at its last step
+    ended: np.ndarray  # [5, E]: slot, environment, steps before the episode's last, return, max_q at its last step
     valid: np.ndarray  # [L] rounds that count
-    curve: np.ndarray  # [7, L], the fields of Segment
+    curve: np.ndarray  # [7, L], the fields of Curve
     max_q: np.ndarray | None  # [U, L], where it is kept
 
 
@@ -129,13 +126,10 @@ class Tally:
         with np.errstate(invalid="ignore"):
             mean_return = np.bincount(lane, returns, width) / np.where(ended > 0, ended, np.nan)
             mean_loss, mean_q = (np.where(learned, _means(values, valid), np.nan) for values in (loss, max_q))
+        tick = self.env_steps[lane] // num_envs + u * per_round + t
         self.records.append(
             _Record(
-                lane=lane,
-                env=n,
-                tick=self.env_steps[lane] // num_envs + u * per_round + t,
-                total=returns,
-                value=max_q[u, lane],
+                ended=np.array([lane, n, tick, returns, max_q[u, lane]], float),
                 valid=valid,
                 curve=np.array([env_steps, episodes, updates, mean_return, mean_loss, mean_q, epsilon], float),
                 max_q=max_q if self.keep_max_q else None,
@@ -161,10 +155,7 @@ class Tally:
             env_steps=int(self.env_steps[slot]),
             updates=int(self.updates[slot]),
             episodes=_episodes(records, slot, self.program.num_envs),
-            curve=[
-                Segment(int(steps), int(episodes), int(updates), *means)
-                for steps, episodes, updates, *means in (r.curve[:, slot].tolist() for r in records)
-            ],
+            curve=Curve(*(np.stack([r.curve[:, slot] for r in records], axis=1) if records else np.zeros((7, 0)))),
             max_q=np.concatenate([r.max_q[: r.valid[slot], slot] for r in records if r.max_q is not None])
             if self.keep_max_q and records
             else None,
@@ -179,16 +170,22 @@ class Tally:
 
 def _episodes(records: list[_Record], slot: int, num_envs: int) -> Episodes:
     """The finished episodes of a slot in these records."""
-    if not records:
-        nothing = np.zeros(0)
-        return Episodes(nothing.astype(int), nothing.astype(int), nothing, nothing)
-    mine = np.concatenate([r.lane for r in records]) == slot
-    env, tick, returns, max_q = (np.concatenate(column)[mine] for column in list(zip(*records, strict=True))[1:5])
-    length = np.empty(tick.shape, int)
+    ended = np.concatenate([r.ended for r in records], axis=1) if records else np.zeros((5, 0))
+    _, env, tick, returns, max_q = ended[:, ended[0] == slot]
+    tick = tick.astype(int)
+    length = np.empty_like(tick)
     for n in range(num_envs):
-        own = env == n
-        length[own] = np.diff(tick[own], prepend=-1)
-    return Episodes((tick + 1) * num_envs, length, returns.astype(float), max_q.astype(float))
+        own = slice(None) if num_envs == 1 else env == n
+        length[own] = _steps_between(tick[own])
+    return Episodes((tick + 1) * num_envs, length, returns, max_q)
+
+
+def _steps_between(tick: np.ndarray) -> np.ndarray:
+    """Lengths of episodes that end at these steps, counted from 0, one after the other."""
+    length = tick.copy()
+    length[1:] -= tick[:-1]
+    length[:1] += 1
+    return length
 
 
 def _means(values: np.ndarray, valid: np.ndarray) -> np.ndarray:

@@ -74,8 +74,10 @@ def cartpole(
     dtype = _float_dtype("dtype", dtype)
     obs_dtype = _float_dtype("obs_dtype", obs_dtype)
     p = params._replace(**{name: jnp.asarray(getattr(params, name), dtype) for name in _REALS})
-    total_mass = p.masspole + p.masscart
-    polemass_length = p.masspole * p.length
+    # Everything over the total mass, so that a step divides once.
+    inverse_mass = 1 / (p.masspole + p.masscart)
+    pole_share = p.masspole * inverse_mass
+    polemass_share = pole_share * p.length
 
     def reset(key: Key) -> CartPoleState:
         start = jax.random.uniform(key, (4,), dtype, p.reset_low, p.reset_high)
@@ -97,11 +99,9 @@ def cartpole(
         x, x_dot, theta, theta_dot, t = state
         force = jnp.where(action == 1, p.force_mag, -p.force_mag)
         sin, cos = sin_cos(theta)
-        temp = (force + polemass_length * jnp.square(theta_dot) * sin) / total_mass
-        theta_acc = (p.gravity * sin - cos * temp) / (
-            p.length * (4.0 / 3.0 - p.masspole * jnp.square(cos) / total_mass)
-        )
-        x_acc = temp - polemass_length * theta_acc * cos / total_mass
+        temp = force * inverse_mass + polemass_share * jnp.square(theta_dot) * sin
+        theta_acc = (p.gravity * sin - cos * temp) / (p.length * (4.0 / 3.0 - pole_share * jnp.square(cos)))
+        x_acc = temp - polemass_share * theta_acc * cos
         x_dot_next = x_dot + p.tau * x_acc
         theta_dot_next = theta_dot + p.tau * theta_acc
         if integrator == "euler":
