@@ -86,7 +86,10 @@ def _peer(name: str, file: str, which: Sequence[str], *arguments: str, folder: s
 
 #: Contenders with environments of their own: ``make peers``.
 PEERS_OF: dict[str, Sequence[Contender]] = {
-    "env": [_peer("gymnax", "gymnax_env.py", ENVS, folder=".venv-peers-gymnax"), _peer("envpool", "envpool_env.py", ENVS[:6])],
+    "env": [
+        _peer("gymnax", "gymnax_env.py", ENVS, folder=".venv-peers-gymnax"),
+        _peer("envpool", "envpool_env.py", ENVS[:6]),
+    ],
     "tabular": [
         _peer("the tutorial, NumPy", "numpy_table.py", cases(1)),
         _peer("Numba", "numba_table.py", LANES),

@@ -79,7 +79,7 @@ def _table(count: int, worker: int) -> Callable[[], float]:
 
     def call() -> float:
         _plausible(
-            count * updates, library.table_updates(ctypes.c_int64(count), ctypes.c_int64(updates), pointer), 15, 501
+            count * updates, library.table_updates(ctypes.c_int64(count), ctypes.c_int64(updates), pointer), 8, 501
         )
         return float(count * updates)
 
