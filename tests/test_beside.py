@@ -52,6 +52,7 @@ def test_the_c_environment_steps_as_ours(compiler):
             np.testing.assert_allclose(found, ours[:4], rtol=1e-5, atol=1e-6)
     assert ended == over_in_all
     assert 0 < ended < count
+    assert np.float32(1e-40) * np.float32(1) > 0  # loading it has not switched subnormal numbers off
 
 
 def test_the_c_table_learns(compiler):
