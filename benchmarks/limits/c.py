@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 PACKAGES = ("numpy",)
-# What -ffast-math stands for, part by part: that flag itself links code that switches subnormal numbers off in the whole
-# process which loads the library.
+# What -ffast-math stands for, part by part: that flag itself links code that switches subnormal numbers off in the
+# whole process which loads the library.
 FAST = "-fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociative-math -freciprocal-math -ffinite-math-only"
 FLAGS = ("-O3", "-march=native", "-mprefer-vector-width=512", *FAST.split(), "-shared", "-fPIC")
 BOUT = 2**22
