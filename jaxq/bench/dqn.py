@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from jaxq import cpu
@@ -24,29 +23,14 @@ LEAST, MOST, BOUT = 256, 4096, 2**14
 def prepare(case: str, setting: str = "article", family: str = "pcg4d") -> Callable[[], float]:
     """``case`` lanes of ``setting``, all of the same length, without the evaluation at their end. Units: updates."""
     cpu.tune()
-    import numpy as np
-
-    from jaxq import executables, programs
-    from jaxq import lanes as engine
+    from jaxq.bench import equal_lanes
     from jaxq.plans import plan
     from jaxq.presets import DQNSettings
-    from jaxq.tally import Lane
 
     count = int(case)
     each = max(LEAST, min(MOST, BOUT // count // LEAST * LEAST))
     one = plan("article-dqn", max_episodes=10**6, **SETTINGS[setting]).settings[0]
     assert isinstance(one, DQNSettings)
-    built_for = programs.program(one, family)
     # The warm-up stops one round short of the first update.
-    steps = max(0, one.learning_starts - built_for.steps_per_round) + each * built_for.steps_per_round
-    numbers = programs.hypers(one)
-    numbers = numbers._replace(run=numbers.run._replace(max_env_steps=np.int32(steps)))
-    built = executables.build(built_for, numbers, family)
-    built = replace(built, evaluate=lambda *_: np.zeros((built.program.width, 1)))
-
-    def bout() -> float:
-        lanes = (Lane(0, seed, numbers) for seed in range(count))
-        results: Any = engine.run(built, lanes, root_seed=0, impl=family, total=count)
-        return float(sum(result.updates for result in results))
-
-    return bout
+    steps = max(0, one.learning_starts - one.steps_per_update) + each * one.steps_per_update
+    return equal_lanes.prepare(one, family, lanes=count, env_steps=steps)
