@@ -37,8 +37,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of stdout has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
 
 
 def _dispatch(arguments: list[str]) -> int:
@@ -137,15 +135,15 @@ def _sweep(command: str, planned: Plan, directory: Any, options: argparse.Namesp
     from jaxq import compile_cache, sweeps
     from jaxq.progress import Display
 
-    episodes = _episode_printer(planned.settings[0]) if command == "train" and options.verbose else None
     kept: list[Any] = []
     with Display(planned, show=not (options.quiet or options.no_progress), talk=not options.quiet) as display:
+        episodes = (
+            _episode_printer(planned.settings[0], display.say) if command == "train" and options.verbose else None
+        )
 
         def on_result(result: Any) -> None:
             if command == "train":
                 kept.append(result)
-                if episodes:
-                    episodes(result)
             elif options.verbose:
                 display.say(
                     f"setting {result.lane.config} seed {result.lane.seed}: {result.status} after"
@@ -163,6 +161,7 @@ def _sweep(command: str, planned: Plan, directory: Any, options: argparse.Namesp
             on_compile=display.compiling,
             on_progress=display.progress,
             on_result=on_result,
+            on_episodes=episodes,
             stop=stop,
         )
     if not outcome.complete:
@@ -202,14 +201,18 @@ def _on_interrupt(stop: threading.Event, quiet: bool) -> dict[int, Any]:
     return {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
 
 
-def _episode_printer(settings: Settings) -> Callable[[Any], None]:
+def _episode_printer(settings: Settings, say: Callable[[str], None]) -> Callable[[Any, Any], None]:
+    """Says a line for each episode that was not there the time before."""
+    said = 0
 
-    def show(result: Any) -> None:
-        for i, (_, length, total, max_q) in enumerate(zip(*result.episodes, strict=True)):
+    def show(_: Any, episodes: Any) -> None:
+        nonlocal said
+        for i, (_, length, total, max_q) in enumerate(zip(*(column[said:] for column in episodes), strict=True), said):
             mark = ""
             if isinstance(settings, TabularSettings):
                 mark = "  success" if length - 1 >= settings.success_steps else "  fail"
-            print(f"episode {i}: {length} steps, return {total:g}, best q {max_q:.4f}{mark}", file=sys.stderr)
+            say(f"episode {i}: {length} steps, return {total:g}, best q {max_q:.4f}{mark}")
+        said = len(episodes.length)
 
     return show
 
@@ -223,9 +226,9 @@ def _print(command: str, outcome: Any, directory: Any, kept: list[Any], options:
         print(json.dumps({"lanes": outcome.lanes, "summary": summary, "timing": outcome.timing.rows()}))
     else:
         settings = outcome.plan.settings[0]
-        if kept and isinstance(settings, TabularSettings):
+        if command == "train" and isinstance(settings, TabularSettings):
             print("final Q-table")
-            print(report.q_table(kept[0].policy, settings.num_buckets))
+            print(report.q_table(directory.policy(0, 0)["table"], settings.num_buckets))
         print(report.settings_table(summary, outcome.plan.varied, color=sys.stdout.isatty()))
     for picture in pictures:
         print(picture, file=sys.stderr if options.json else sys.stdout)
@@ -235,6 +238,8 @@ def _print(command: str, outcome: Any, directory: Any, kept: list[Any], options:
 
 
 def _pictures(command: str, outcome: Any, directory: Any, kept: list[Any]) -> list[Path]:
+    import numpy as np
+
     from jaxq import plots
 
     if command == "sweep":
@@ -244,10 +249,13 @@ def _pictures(command: str, outcome: Any, directory: Any, kept: list[Any]) -> li
         }
         curves = plots.learning_curves(outcome.lanes, outcome.curves, labels)
         return [plots.save(curves, directory.path / "learning_curves.png")]
-    made = {}
-    for result in kept:
-        if result.max_q is not None:
-            made["q_values.png"] = plots.q_values(result.max_q)
-        success_at = outcome.plan.settings[0].success_steps
-        made["episodes.png"] = plots.episode_lengths(result.episodes.length, success_at=success_at)
-    return [plots.save(figure, directory.path / name) for name, figure in made.items()]
+    figures = {}
+    if kept and kept[0].max_q is not None:
+        figures["q_values.png"] = plots.q_values(kept[0].max_q)
+    lengths = np.array([row["length"] for row in directory.rows("episodes")])
+    success_at = outcome.plan.settings[0].success_steps
+    figures["episodes.png"] = plots.episode_lengths(lengths, success_at=success_at)
+    for name, figure in figures.items():
+        plots.save(figure, directory.path / name)
+    # A training that was resumed after its end keeps the picture of its values: no row holds them.
+    return [file for name in ("q_values.png", "episodes.png") if (file := directory.path / name).exists()]

@@ -27,7 +27,7 @@ from jaxq import prng
 from jaxq.executables import Executables
 from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED
 from jaxq.machine import cores as cores
-from jaxq.tally import Done, Lane, Result, Tally
+from jaxq.tally import Done, Episodes, Lane, Result, Tally
 from jaxq.types import Hypers, PyTree
 
 #: Ended lanes wait for company, so that a whole group is evaluated at once, but no longer than this.
@@ -67,15 +67,17 @@ def run(
     workers: int | None = None,
     keep_max_q: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
+    on_episodes: Callable[[Lane, Episodes], None] | None = None,
     stop: threading.Event | None = None,
 ) -> Generator[Result, None, None]:
     """Yields each lane's Result as it ends, in no fixed order.
 
-    ``total`` is the number of lanes, for the progress. ``stop`` set: every worker finishes its segment, hands on what
+    ``total`` is the number of lanes, for the progress. ``on_episodes`` is called for every lane at each of its segments
+    with all episodes that it has finished. ``stop`` set: every worker finishes its segment, hands on what
     ended, and the iterator ends. An exception in a worker is raised here.
     """
     stop = stop or threading.Event()
-    shared = _Shared(iter(lanes), Progress(total), stop)
+    shared = _Shared(iter(lanes), Progress(total), stop, watched=on_episodes is not None)
     root = np.asarray(jax.random.key_data(prng.key(root_seed, impl)))
     count = workers or (cores() if jax.default_backend() == "cpu" else 1)
     count = max(1, min(count, -(-total // built.program.width)))
@@ -95,6 +97,8 @@ def run(
                 raise item
             if isinstance(item, Result):
                 yield item
+            elif isinstance(item, tuple) and on_episodes:
+                on_episodes(*item)
             elif item is _DONE:
                 running -= 1
             if on_progress:
@@ -111,8 +115,9 @@ _DONE = object()
 class _Shared:
     """What the workers share: the queue of pending lanes, the results, the progress."""
 
-    def __init__(self, lanes: Iterator[Lane], progress: Progress, stop: threading.Event):
+    def __init__(self, lanes: Iterator[Lane], progress: Progress, stop: threading.Event, watched: bool):
         self.lanes, self.progress, self.stop, self.closed = lanes, progress, stop, False
+        self.watched = watched
         self.results: queue.Queue[Any] = queue.Queue()
         self.lock = threading.Lock()
         self.shares: dict[int, float] = {}
@@ -201,6 +206,9 @@ class _Worker:
         seconds = time.monotonic() - began
         live = np.array([lane is not None for lane in self.tally.slots])
         steps, updates = self.tally.book(live, jax.tree.map(np.asarray, self.state.clock), log)
+        if self.shared.watched:
+            for i in np.flatnonzero(live).tolist():
+                self.shared.results.put((self.tally.slots[i], self.tally.so_far(i)))
         status = np.asarray(self.state.status)
         ended = np.flatnonzero(live & (status != RUNNING)).tolist()
         names: list[str] = []

@@ -152,6 +152,24 @@ class RunDirectory:
                 self._verify(name)
         return read_rows(self.path, kind)
 
+    def policy(self, config: int, seed: int) -> dict[str, np.ndarray]:
+        """A lane's final weights by the names that ``flatten`` gives them, ``table`` for a table.
+
+        Raises RunError when they are not there or cannot be read.
+        """
+        prefix = f"{config}/{seed}/"
+        found: dict[str, np.ndarray] = {}
+        for file in sorted((self.path / "policies").glob("*.safetensors")):
+            try:
+                with safetensors.safe_open(file, "numpy") as tensors:
+                    names = [name for name in tensors.keys() if name.startswith(prefix)]  # noqa: SIM118
+                    found |= {name.removeprefix(prefix): tensors.get_tensor(name) for name in names}
+            except (OSError, safetensors.SafetensorError):
+                raise RunError(f"{file}: cannot be read; start again with --overwrite") from None
+        if not found:
+            raise RunError(f"{self.path}: has no policy of setting {config} seed {seed}; start again with --overwrite")
+        return found
+
     def _verify(self, name: str) -> None:
         file = self.path / "parts" / name
         if not file.exists() or hashlib.sha256(file.read_bytes()).hexdigest() != self.manifest["parts"][name]:

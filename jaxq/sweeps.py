@@ -17,7 +17,7 @@ from jaxq.plans import Plan, plan
 from jaxq.programs import hypers, program
 from jaxq.runs import RunDirectory, flatten
 from jaxq.tables import Row
-from jaxq.tally import Lane, Result
+from jaxq.tally import Episodes, Lane, Result
 
 #: Results are written once this many have gathered or this many seconds have passed.
 BATCH_LANES, BATCH_SECONDS = 512, 2.0
@@ -89,13 +89,15 @@ def run(
     on_compile: Callable[[int, int], None] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     on_result: Callable[[Result], None] | None = None,
+    on_episodes: Callable[[Lane, Episodes], None] | None = None,
     stop: threading.Event | None = None,
 ) -> Outcome:
     """Runs all lanes that ``directory`` does not hold yet, writing results there as they come.
 
     What ``cache`` holds is not compiled again.
     ``on_compile(i, n)`` is called before program i of n is built, ``on_result`` for each lane that ends,
-    ``on_progress`` a few times a second. ``stop`` set: what ended is kept and the Outcome is not complete.
+    ``on_episodes`` at each segment of a lane with all episodes that it has finished, ``on_progress`` a few times a
+    second. ``stop`` set: what ended is kept and the Outcome is not complete.
     """
     stop = stop or threading.Event()
     outcome = Outcome(planned)
@@ -144,6 +146,7 @@ def run(
                 workers=workers,
                 keep_max_q=keep_max_q,
                 on_progress=report,
+                on_episodes=on_episodes,
                 stop=stop,
             )
             with contextlib.closing(results):  # its workers stop even when a write fails here

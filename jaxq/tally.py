@@ -144,12 +144,19 @@ class Tally:
         held = [lane is not None for lane in self.slots]
         return float(np.minimum(1, np.max([self.env_steps, self.episodes] / self.limits, axis=0))[held].sum())
 
+    def so_far(self, slot: int) -> Episodes:
+        """The episodes that the lane in ``slot`` has finished."""
+        return _episodes(self._records_of(slot), slot, self.program.num_envs)
+
+    def _records_of(self, slot: int) -> list[_Record]:
+        return [r for r in self.records[self.first[slot] - self.dropped :] if r.valid[slot] > 0]
+
     def leave(self, slot: int) -> Done:
         """A lane frees its slot, and takes along what it has done. Raises ValueError for a free slot."""
         lane = self.slots[slot]
         if lane is None:
             raise ValueError(f"slot {slot} is free")
-        records = [r for r in self.records[self.first[slot] - self.dropped :] if r.valid[slot] > 0]
+        records = self._records_of(slot)
         done = Done(
             lane=lane,
             env_steps=int(self.env_steps[slot]),

@@ -118,6 +118,38 @@ def test_train_prints_and_saves_the_table_and_draws_the_two_pictures(capsys):
     assert f"{saved.max():.2f}"[:4] in captured.out.replace("\n", " ")
 
 
+def test_a_finished_train_that_is_resumed_prints_the_same_again(capsys):
+    words = ["train", "article-q", *SHORT, "--out", "one"]
+    assert main(words) == 0
+    first = capsys.readouterr().out
+    assert main([*words, "--resume"]) == 0
+    assert capsys.readouterr().out == first
+    Path("one/policies/00000.safetensors").write_bytes(b"nothing")
+    assert main([*words, "--resume"]) == 2
+    assert "00000.safetensors: cannot be read" in capsys.readouterr().err
+
+
+def test_the_lines_of_a_train_come_while_it_runs():
+    words = [sys.executable, "-m", "jaxq", "train", "article-dqn", "--hidden", "8", "--verbose", "--out", "one"]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    assert process.stderr is not None
+    assert any(line.startswith("episode 0: ") for line in process.stderr)
+    assert process.poll() is None  # it has hundreds of episodes to go
+    process.terminate()
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+
+
+def test_ctrl_c_is_quiet_from_the_first_import_on(monkeypatch):
+    from jaxq import __main__ as command
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jaxq.cli.main", interrupted)
+    assert command.main() == 130
+
+
 def test_a_sweep_of_dqn_over_numbers_and_structures(capsys):
     words = ["article-dqn", *TINY, "--learning-rate", "1e-3", "1e-2", "--double", "false", "true", "--seeds", "2"]
     status, out = sweep_json(capsys, *words)

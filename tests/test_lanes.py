@@ -63,6 +63,19 @@ def test_every_lane_ends_once_with_its_counts(bench, everyone):
         assert np.all(np.cumsum(result.episodes.length) == result.episodes.env_steps)
 
 
+def test_episodes_are_told_as_they_come(bench, everyone):
+    compiled, lanes = bench
+    told = {}
+    watched = finish(compiled, lanes[:3], on_episodes=lambda lane, so_far: told.setdefault(lane[:2], []).append(so_far))
+    for key, result in watched.items():
+        assert_same(result, everyone[key])
+        assert len(told[key]) == (np.diff(result.curve.updates, prepend=0) > 0).sum()  # once a segment
+        for so_far in told[key]:
+            for part, whole in zip(so_far, result.episodes, strict=True):
+                np.testing.assert_array_equal(part, whole[: len(part)])
+        jax.tree.map(np.testing.assert_array_equal, told[key][-1], result.episodes)
+
+
 def test_a_lane_alone_in_another_slot_and_on_one_core_gives_the_same_bits(bench, everyone):
     compiled, lanes = bench
     for chosen in (lanes[7:8], lanes[100:103], lanes[::-17]):
