@@ -117,7 +117,8 @@ def _run(command: str, chosen: Preset, options: argparse.Namespace) -> int:
 def _with_directory(command: str, planned: Plan, options: argparse.Namespace, stop: threading.Event) -> int:
     cpu.tune()
     _collect_rarely()
-    from jaxq.runs import Locked, RunDirectory, RunError
+    from jaxq.manifest import RunError
+    from jaxq.runs import Locked, RunDirectory, WriteError
 
     name = planned.default_name() if command == "sweep" else f"train-{planned.default_name()}"
     path = options.out or Path("runs") / name
@@ -127,6 +128,9 @@ def _with_directory(command: str, planned: Plan, options: argparse.Namespace, st
     except Locked as error:
         print(f"jaxq: error: {error}", file=sys.stderr)
         return EXIT_LOCKED
+    except WriteError as error:
+        print(f"jaxq: error: {error}", file=sys.stderr)
+        return EXIT_FAILED
     except RunError as error:
         raise UsageError(str(error)) from None
 

@@ -43,7 +43,7 @@ class Plan:
             "preset": self.preset.name,
             "settings": [one.model_dump(mode="json") for one in self.settings],
             "varied": list(self.varied),
-            "seeds": list(self.seeds),
+            "seeds": len(self.seeds),
             "root_seed": self.root_seed,
             "prng": self.prng,
         }

@@ -7,13 +7,11 @@ commit: rows without it never happened.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
-import platform
-import re
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +21,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import safetensors.numpy
 
-from jaxq import machine
+from jaxq import manifest, run_files
+from jaxq.manifest import Manifest, RunError
 from jaxq.plans import Plan
 from jaxq.tables import Row
 
-FORMAT = 1
 #: Columns of each table that may be all None in a batch, and so must be told their type.
 _COUNT, _REAL = pa.int64(), pa.float64()
 _TYPES = {
@@ -45,58 +43,63 @@ _TYPES = {
 }
 
 
-class RunError(Exception):
-    """A run directory that cannot be used; the message says why and what to do."""
-
-
 class Locked(RunError):
     """Another process has the run directory."""
 
 
-class RunDirectory:
-    """One sweep's directory, locked while it is open. Use as a context manager."""
+class WriteError(RunError):
+    """The disk does not take what is written."""
 
-    def __init__(self, path: Path, manifest: dict[str, Any], lock: filelock.BaseFileLock):
-        self.path, self.manifest, self._lock = path, manifest, lock
+
+class RunDirectory:
+    """One sweep's directory, locked while it is open. Use as a context manager.
+
+    ``resumed`` tells whether it holds an earlier run.
+    """
+
+    def __init__(self, path: Path, held: Manifest, lock: filelock.BaseFileLock, resumed: bool):
+        self.path, self.manifest, self._lock, self.resumed = path, held, lock, resumed
 
     @classmethod
     def open(cls, path: Path, plan: Plan, *, resume: bool = False, overwrite: bool = False) -> RunDirectory:
-        """Creates the directory, or opens it again for the same plan.
+        """Creates the directory, or opens it again for the same plan; a vacant one is begun whatever is asked.
 
-        Raises RunError when it exists and neither ``resume`` nor ``overwrite`` is given, when it cannot be made, or
-        when it was made for another plan; Locked when another process has it.
+        Raises RunError when it holds a run and neither ``resume`` nor ``overwrite`` is given, when it holds something
+        else, when it cannot be made, when a file is damaged, or when it was made for another plan; Locked when another
+        process has it.
         """
         try:
-            occupied = path.exists() and (not path.is_dir() or any(path.iterdir()))
-            if occupied and not (resume or overwrite):
-                raise RunError(f"{path}: exists; add --resume to finish it or --overwrite to replace it")
-            if occupied and overwrite and not _is_run(path):
-                raise RunError(f"{path}: is not a run directory, so it is not overwritten")
-            found = _read_manifest(path / "manifest.json") if occupied and not overwrite else None
+            _examine(path, plan, resume, overwrite)
+            made = [folder for folder in (path, *path.parents) if not folder.exists()]
             path.mkdir(parents=True, exist_ok=True)
-            lock = filelock.FileLock(path / "lock")
+            lock = filelock.FileLock(path / run_files.LOCK)
             lock.acquire(timeout=0)
         except filelock.Timeout:
             raise Locked(f"{path}: another process is writing to it") from None
         except OSError as error:
             raise RunError(f"{path}: {error.strerror}") from None
         try:
+            found = _examine(path, plan, resume, overwrite)  # again: another process may have had it in between
+            for file in run_files.temporaries(path):
+                file.unlink()
             if found is not None:
-                _same(path, found, {"spec_hash": plan.hash(), **_machine()})
-                run = cls(path, found, lock)
-                run._remove_uncommitted()
+                run = cls(path, found, lock, resumed=True)
+                run._settle()
                 return run
-            for part in _own_files(path):
-                part.unlink()
-            manifest = {"format": FORMAT, "spec_hash": plan.hash(), "spec": plan.spec(), **_machine(), "parts": {}}
-            run = cls(path, manifest, lock)
-            (path / "parts").mkdir(exist_ok=True)
-            (path / "policies").mkdir(exist_ok=True)
-            run._write_manifest()
+            for file in run_files.own_files(path):
+                file.unlink()
+            run = cls(path, manifest.new(plan), lock, resumed=False)
+            try:
+                for folder in run_files.FOLDERS:
+                    (path / folder).mkdir(exist_ok=True)
+                run._write_manifest()
+            except (OSError, RunError):
+                _unmake(path, made)
+                raise
             return run
         except OSError as error:
             lock.release()
-            raise RunError(f"{path}: {error.strerror}") from None
+            raise WriteError(f"{path}: {error.strerror}") from None
         except BaseException:
             lock.release()
             raise
@@ -114,23 +117,20 @@ class RunDirectory:
         policies: dict[tuple[int, int], dict[str, np.ndarray]],
         episodes: Sequence[Row] = (),
     ) -> None:
-        """Adds a batch of lanes that ended. Raises RunError when it cannot be written."""
+        """Adds a batch of lanes that ended. Raises WriteError when it cannot be written."""
         # From the files, not the manifest: a kill between a commit and the manifest must not reuse its number.
-        number = 1 + max((int(file.name[:5]) for file in _own_files(self.path) if _BATCH.match(file.name)), default=-1)
+        number = f"{1 + max((int(batch) for batch, _ in run_files.batches(self.path)), default=-1):05d}"
         tensors = {
             f"{config}/{seed}/{name}": np.ascontiguousarray(array)
             for (config, seed), arrays in policies.items()
             for name, array in arrays.items()
         }
-        self._replace(f"policies/{number:05d}.safetensors", safetensors.numpy.save(tensors))
+        self._keep(f"policies/{number}.safetensors", safetensors.numpy.save(tensors))
         for kind, rows in (("curves", curves), ("episodes", episodes), ("lanes", lanes)):
             if rows:
                 sink = pa.BufferOutputStream()
                 pq.write_table(_table(kind, rows), sink, write_page_checksum=True, compression="zstd")
-                data = sink.getvalue().to_pybytes()
-                name = f"{number:05d}-{kind}.parquet"
-                self._replace(f"parts/{name}", data)
-                self.manifest["parts"][name] = hashlib.sha256(data).hexdigest()
+                self._keep(f"parts/{number}-{kind}.parquet", sink.getvalue().to_pybytes())
         self._write_manifest()
 
     def agree_width(self, config: int, width: int) -> None:
@@ -138,7 +138,7 @@ class RunDirectory:
 
         Raises RunError where the run was begun with another width.
         """
-        widths = self.manifest.setdefault("widths", {})
+        widths = self.manifest["widths"]
         if widths.setdefault(str(config), width) != width:
             raise RunError(
                 f"{self.path}: was made with width {widths[str(config)]}, this is {width}; choose another --out"
@@ -147,45 +147,46 @@ class RunDirectory:
 
     def rows(self, kind: str) -> list[Row]:
         """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``."""
-        for name in self.manifest["parts"]:
-            if name.endswith(f"-{kind}.parquet"):
-                self._verify(name)
         return read_rows(self.path, kind)
 
     def policy(self, config: int, seed: int) -> dict[str, np.ndarray]:
-        """A lane's final weights by the names that ``flatten`` gives them, ``table`` for a table.
-
-        Raises RunError when they are not there or cannot be read.
-        """
+        """A lane's final weights by the names that ``flatten`` gives them, ``table`` for a table; {} without any."""
         prefix = f"{config}/{seed}/"
         found: dict[str, np.ndarray] = {}
-        for file in sorted((self.path / "policies").glob("*.safetensors")):
-            try:
+        for _, file in run_files.batches(self.path):
+            if file.suffix == ".safetensors":
                 with safetensors.safe_open(file, "numpy") as tensors:
                     names = [name for name in tensors.keys() if name.startswith(prefix)]  # noqa: SIM118
                     found |= {name.removeprefix(prefix): tensors.get_tensor(name) for name in names}
-            except (OSError, safetensors.SafetensorError):
-                raise RunError(f"{file}: cannot be read; start again with --overwrite") from None
-        if not found:
-            raise RunError(f"{self.path}: has no policy of setting {config} seed {seed}; start again with --overwrite")
         return found
 
-    def _verify(self, name: str) -> None:
-        file = self.path / "parts" / name
-        if not file.exists() or hashlib.sha256(file.read_bytes()).hexdigest() != self.manifest["parts"][name]:
-            raise RunError(f"{file}: is damaged; start again with --overwrite")
-
-    def _remove_uncommitted(self) -> None:
-        """Drops what a kill left of a batch before its commit."""
-        committed = {file.name[:5] for file in (self.path / "parts").glob("*-lanes.parquet")}
-        for file in _own_files(self.path):
-            if _BATCH.match(file.name) and file.name[:5] not in committed:
+    def _settle(self) -> None:
+        """Drops what a kill left of a batch before its commit, and sees that all else is as it was written."""
+        batches = list(run_files.batches(self.path))
+        committed = {number for number, file in batches if file.name.endswith("-lanes.parquet")}
+        for number, file in batches:
+            if number not in committed:
                 file.unlink()
-        self.manifest["parts"] = {k: v for k, v in self.manifest["parts"].items() if k[:5] in committed}
+        hashes = self.manifest["files"]
+        hashes = {name: digest for name, digest in hashes.items() if run_files.batch(Path(name)) in committed}
+        for name, digest in hashes.items():
+            file = self.path / name
+            if not file.is_file() or _sha256(file.read_bytes()) != digest:
+                raise RunError(f"{file}: is damaged; --overwrite starts anew")
+        for number, file in batches:
+            name = f"{file.parent.name}/{file.name}"
+            if number in committed and name not in hashes:  # a kill came between the commit and the manifest
+                _check(file)
+                hashes[name] = _sha256(file.read_bytes())
+        self.manifest["files"] = hashes
+
+    def _keep(self, name: str, data: bytes) -> None:
+        self._replace(name, data)
+        self.manifest["files"][name] = _sha256(data)
 
     def _replace(self, name: str, data: bytes) -> None:
         target = self.path / name
-        temporary = target.with_name(f".{target.name}.tmp")
+        temporary = run_files.temporary(target)
         try:
             with open(temporary, "wb") as file:
                 file.write(data)
@@ -193,18 +194,23 @@ class RunDirectory:
                 os.fsync(file.fileno())
             temporary.replace(target)
         except OSError as error:
-            temporary.unlink(missing_ok=True)
-            raise RunError(f"{target}: {error.strerror}") from None
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise WriteError(f"{target}: {error.strerror}") from None
 
     def _write_manifest(self) -> None:
-        self._replace("manifest.json", json.dumps(self.manifest, indent=1).encode())
+        self._replace(run_files.MANIFEST, json.dumps(self.manifest, indent=1).encode())
 
 
 def read_rows(path: Path, kind: str) -> list[Row]:
     """The committed rows of one table of a run directory, sorted by setting and seed."""
-    committed = sorted(file.name[:5] for file in (path / "parts").glob("*-lanes.parquet"))
-    files = [path / "parts" / f"{number}-{kind}.parquet" for number in committed]
-    rows = [row for file in files if file.exists() for row in pq.read_table(file).to_pylist()]
+    committed = {number for number, file in run_files.batches(path) if file.name.endswith("-lanes.parquet")}
+    files = [
+        file
+        for number, file in run_files.batches(path)
+        if number in committed and file.name.endswith(f"-{kind}.parquet")
+    ]
+    rows = [row for file in files for row in pq.read_table(file).to_pylist()]
     return sorted(rows, key=lambda row: (row["config"], row["seed"]))
 
 
@@ -221,57 +227,56 @@ def flatten(policy: Any) -> dict[str, np.ndarray]:
     return {"": np.asarray(policy)}
 
 
-_BATCH = re.compile(r"\d{5}(-(lanes|curves|episodes)\.parquet|\.safetensors)$")
-_PICTURES = {"learning_curves.png", "q_values.png", "episodes.png"}
+def _examine(path: Path, plan: Plan, resume: bool, overwrite: bool) -> Manifest | None:
+    """The manifest of the run to go on with, or None where one is to be begun. Raises RunError for what is refused."""
+    if not path.exists() or (path.is_dir() and run_files.foreign(path) == set() and not run_files.own_files(path)):
+        return None  # nothing, or what a run left that could not even write its manifest
+    marked = path / run_files.MANIFEST
+    if not path.is_dir() or (run_files.foreign(path) and not _says_run(marked)):
+        raise RunError(f"{path}: exists and is not a run directory; choose another --out")
+    if overwrite:
+        return None
+    if not resume:
+        raise RunError(f"{path}: exists; add --resume to finish it or --overwrite to replace it")
+    found = manifest.read(marked)
+    manifest.agree(path, found, plan)
+    return found
 
 
-def _own_files(path: Path) -> list[Path]:
-    """What a run writes, by name; nothing else in the directory is ever touched."""
-    batches = [
-        file for folder in ("parts", "policies") for file in (path / folder).glob("*") if _BATCH.match(file.name)
-    ]
-    return [file for file in [*batches, *(path / name for name in _PICTURES)] if file.is_file()]
-
-
-def _is_run(path: Path) -> bool:
-    """Whether the directory was made by a run: a manifest that says so, or nothing in it but a run's files."""
+def _says_run(marked: Path) -> bool:
+    """Whether a manifest, of whatever version, is a run's."""
     try:
-        _read_manifest(path / "manifest.json")
-        return True
-    except RunError:
-        files = {file for file in path.rglob("*") if file.is_file()}
-        return path.is_dir() and files <= {*_own_files(path), path / "manifest.json", path / "lock"}
-
-
-def _read_manifest(path: Path) -> dict[str, Any]:
-    try:
-        manifest = json.loads(path.read_text())
+        found = json.loads(marked.read_text())
     except (OSError, ValueError):
-        raise RunError(f"{path}: cannot be read; choose another --out") from None
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or "spec_hash" not in manifest:
-        raise RunError(f"{path}: is not a manifest of this version; choose another --out")
-    return manifest
+        return False
+    return isinstance(found, dict) and "spec_hash" in found and isinstance(found.get("format"), int)
 
 
-def _same(path: Path, found: dict[str, Any], here: dict[str, Any]) -> None:
-    """Refuses to mix results: the bits of a lane depend on all of these."""
-    if found["spec_hash"] != here["spec_hash"]:
-        raise RunError(f"{path}: was made for another sweep; choose another --out")
-    for name, value in here.items():
-        if found.get(name) != value:
-            raise RunError(f"{path}: was made with {name} {found.get(name)}, this is {value}; choose another --out")
+def _unmake(path: Path, made: list[Path]) -> None:
+    """Takes back a directory that could not be begun: the empty folders of a run, and those made on the way."""
+    with contextlib.suppress(OSError):
+        (path / run_files.LOCK).unlink()
+    for folder in (*(path / name for name in run_files.FOLDERS), *made):
+        with contextlib.suppress(OSError):
+            folder.rmdir()  # leaves one that holds anything
+
+
+def _check(file: Path) -> None:
+    """Raises RunError for a file without a hash that cannot be read."""
+    try:
+        if file.suffix == ".parquet":
+            pq.read_table(file, page_checksum_verification=True)
+        else:
+            safetensors.numpy.load_file(file)
+    except (OSError, pa.ArrowException, safetensors.SafetensorError):
+        raise RunError(f"{file}: is damaged; --overwrite starts anew") from None
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 def _table(kind: str, rows: Sequence[Row]) -> pa.Table:
     """Rows as a table whose types do not depend on which values happen to be None."""
     types = _TYPES[kind]
     return pa.table({name: pa.array([row[name] for row in rows], types.get(name)) for name in rows[0]})
-
-
-def _machine() -> dict[str, Any]:
-    packages = ("jaxq", "jax", "jaxlib", "flax", "optax", "numpy")
-    return {
-        "versions": {name: metadata.version(name) for name in packages} | {"python": platform.python_version()},
-        "cpu": machine.processor(),
-        "xla_flags": os.environ.get("XLA_FLAGS", ""),
-    }

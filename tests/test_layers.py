@@ -13,11 +13,11 @@ PACKAGE = Path(__file__).parent.parent / "jaxq"
 #: Each module may import from lower rows only; modules of one row do not know each other unless listed together in
 #: a pair below.
 LAYERS = [
-    ["types", "families", "suggest", "cpu", "machine", "bench.worker"],
+    ["types", "families", "suggest", "cpu", "machine", "run_files", "bench.worker"],
     ["bench.contest", "bench.report", "bench"],
     ["prng", "trigonometry", "rules", "schedules", "policies", "presets"],
     ["envs.auto_reset", "envs.cartpole", "envs.discretise", "networks", "optimisers", "replay", "success", "plans"],
-    ["envs", "agents", "stats"],
+    ["envs", "agents", "stats", "manifest"],
     ["agents.tabular", "agents.dqn"],
     ["experiment"],
     ["programs", "compile_cache"],

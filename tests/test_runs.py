@@ -1,13 +1,15 @@
 """The run directory: commits, locks, refusals."""
 
+import hashlib
 import json
 
 import numpy as np
 import pytest
 import safetensors.numpy
 
+from jaxq.manifest import RunError
 from jaxq.plans import plan
-from jaxq.runs import Locked, RunDirectory, RunError, flatten, read_rows
+from jaxq.runs import Locked, RunDirectory, WriteError, flatten, read_rows
 
 PLAN = plan("article-q", seeds=2)
 
@@ -42,7 +44,10 @@ def test_the_manifest_says_what_ran_and_holds_the_hashes(tmp_path):
         run.write([lane(0)], [curve(0)], {})
     manifest = json.loads((tmp_path / "run/manifest.json").read_text())
     assert manifest["spec"] == PLAN.spec()
-    assert set(manifest["parts"]) == {"00000-lanes.parquet", "00000-curves.parquet"}
+    wrote = {"parts/00000-lanes.parquet", "parts/00000-curves.parquet", "policies/00000.safetensors"}
+    assert set(manifest["files"]) == wrote
+    for name, digest in manifest["files"].items():
+        assert hashlib.sha256((tmp_path / "run" / name).read_bytes()).hexdigest() == digest
     assert {"jaxq", "jax", "python"} <= set(manifest["versions"])
     assert not list((tmp_path / "run").rglob("*.tmp"))
 
@@ -135,15 +140,89 @@ def test_what_a_kill_left_of_a_batch_is_removed(tmp_path):
         assert run.rows("curves") == [curve(0)]
 
 
-def test_a_flipped_byte_is_an_error_in_words(tmp_path):
+@pytest.mark.parametrize(
+    "name", ["parts/00000-lanes.parquet", "parts/00000-curves.parquet", "policies/00000.safetensors"]
+)
+def test_a_flipped_byte_is_an_error_in_words(tmp_path, name):
     with RunDirectory.open(tmp_path / "run", PLAN) as run:
-        run.write([lane(0)], [], {})
-    part = tmp_path / "run/parts/00000-lanes.parquet"
+        run.write([lane(0)], [curve(0)], {(0, 0): {"table": np.eye(2, dtype=np.float32)}})
+    part = tmp_path / "run" / name
     data = bytearray(part.read_bytes())
     data[len(data) // 2] ^= 1
     part.write_bytes(bytes(data))
-    with RunDirectory.open(tmp_path / "run", PLAN, resume=True) as run, pytest.raises(RunError, match="damaged"):
-        run.rows("lanes")
+    with pytest.raises(RunError, match="damaged"):
+        RunDirectory.open(tmp_path / "run", PLAN, resume=True)
+
+
+@pytest.mark.parametrize("name", ["parts/00000-curves.parquet", "policies/00000.safetensors"])
+def test_a_missing_file_is_an_error_in_words(tmp_path, name):
+    with RunDirectory.open(tmp_path / "run", PLAN) as run:
+        run.write([lane(0)], [curve(0)], {})
+    (tmp_path / "run" / name).unlink()
+    with pytest.raises(RunError, match="damaged"):
+        RunDirectory.open(tmp_path / "run", PLAN, resume=True)
+
+
+@pytest.mark.parametrize(
+    "damage", [{"files": None}, {"files": []}, {"widths": 3}, {"spec_hash": None}, {"versions": ""}]
+)
+def test_a_manifest_with_wrong_kinds_is_an_error_in_words(tmp_path, damage):
+    RunDirectory.open(tmp_path / "run", PLAN).__exit__()
+    file = tmp_path / "run/manifest.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | damage))
+    with pytest.raises(RunError, match="is damaged; --overwrite"):
+        RunDirectory.open(tmp_path / "run", PLAN, resume=True)
+
+
+@pytest.mark.parametrize("name", ["parts/00001-lanes.parquet", "policies/00001.safetensors"])
+def test_a_batch_that_the_manifest_does_not_know_is_checked_and_then_known(tmp_path, name):
+    with RunDirectory.open(tmp_path / "run", PLAN) as run:
+        run.write([lane(0)], [curve(0)], {})
+        before = (tmp_path / "run/manifest.json").read_bytes()
+        run.write([lane(1)], [curve(1)], {})
+    (tmp_path / "run/manifest.json").write_bytes(before)  # as a kill between the commit and the manifest leaves it
+    RunDirectory.open(tmp_path / "run", PLAN, resume=True).__exit__()
+    with RunDirectory.open(tmp_path / "run", PLAN, resume=True) as run:
+        assert name in run.manifest["files"]
+    (tmp_path / "run/manifest.json").write_bytes(before)
+    file = tmp_path / "run" / name
+    file.write_bytes(file.read_bytes()[:10])
+    with pytest.raises(RunError, match="is damaged"):
+        RunDirectory.open(tmp_path / "run", PLAN, resume=True)
+
+
+def test_a_run_that_could_not_begin_leaves_nothing_behind(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", full)
+        with pytest.raises(WriteError, match="No space left"):
+            RunDirectory.open(tmp_path / "a" / "run", PLAN)
+    assert not (tmp_path / "a").exists()
+    # A kill at the same moment leaves files that count as nothing.
+    (tmp_path / "run" / "parts").mkdir(parents=True)
+    (tmp_path / "run" / ".manifest.json.tmp").write_text("{")
+    (tmp_path / "run" / "lock").touch()
+    with RunDirectory.open(tmp_path / "run", PLAN) as run:
+        assert not run.resumed
+    assert not list((tmp_path / "run").glob(".*.tmp"))
+
+
+def test_what_is_no_run_is_said_at_once(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "cat.png").write_text("meow")
+    for name in ("file", "other"):
+        with pytest.raises(RunError, match="is not a run directory; choose another --out"):
+            RunDirectory.open(tmp_path / name, PLAN)
+
+
+def test_a_run_tells_whether_it_goes_on(tmp_path):
+    with RunDirectory.open(tmp_path / "run", PLAN, resume=True) as run:
+        assert not run.resumed
+    with RunDirectory.open(tmp_path / "run", PLAN, resume=True) as run:
+        assert run.resumed
 
 
 def test_resume_on_other_versions_is_refused_with_the_difference(tmp_path):
