@@ -74,7 +74,7 @@ def run(
 
     ``total`` is the number of lanes, for the progress. ``on_episodes`` is called for every lane at each of its segments
     with all episodes that it has finished. ``stop`` set: every worker finishes its segment, hands on what
-    ended, and the iterator ends. An exception in a worker is raised here.
+    ended, and the iterator ends. An exception in a worker, or Ctrl-C, is raised here once all that ended is handed on.
     """
     stop = stop or threading.Event()
     shared = _Shared(iter(lanes), Progress(total), stop, watched=on_episodes is not None)
@@ -82,34 +82,45 @@ def run(
     count = workers or (cores() if jax.default_backend() == "cpu" else 1)
     count = max(1, min(count, -(-total // built.program.width)))
     threads = [threading.Thread(target=_Worker(built, shared, root, keep_max_q).run, daemon=True) for _ in range(count)]
-    for thread in threads:
-        thread.start()
-    running = count
-    if on_progress:
-        on_progress(shared.progress)
+    failure: BaseException | None = None
     try:
+        for thread in threads:
+            thread.start()
+        running = count
+        if on_progress:
+            on_progress(shared.progress)
         while running:
+            item = None
             try:
                 item = shared.results.get(timeout=0.1)
             except queue.Empty:
-                item = None
-            if isinstance(item, BaseException):
-                raise item
+                pass
+            except KeyboardInterrupt as error:  # raised in the end: what has ended is handed on first
+                failure, shared.closed = error, True
             if isinstance(item, Result):
                 yield item
-            elif isinstance(item, tuple) and on_episodes:
-                on_episodes(*item)
-            elif item is _DONE:
+            elif isinstance(item, _Ended):
                 running -= 1
+                if item.error is not None:
+                    failure, shared.closed = failure or item.error, True
+            elif item is not None and on_episodes:
+                on_episodes(*item)
             if on_progress:
                 on_progress(shared.progress)
     finally:  # the caller may have left early
         shared.closed = True
         for thread in threads:  # a thread that is still in XLA when the interpreter ends aborts the process
-            thread.join()
+            if thread.ident is not None:
+                thread.join()
+    if failure is not None:
+        raise failure
 
 
-_DONE = object()
+@dataclass(frozen=True)
+class _Ended:
+    """A worker's last word."""
+
+    error: BaseException | None
 
 
 class _Shared:
@@ -118,6 +129,7 @@ class _Shared:
     def __init__(self, lanes: Iterator[Lane], progress: Progress, stop: threading.Event, watched: bool):
         self.lanes, self.progress, self.stop, self.closed = lanes, progress, stop, False
         self.watched = watched
+        self.next = next(lanes, None)  # known ahead, so that who takes the last lane can tell
         self.results: queue.Queue[Any] = queue.Queue()
         self.lock = threading.Lock()
         self.shares: dict[int, float] = {}
@@ -129,9 +141,11 @@ class _Shared:
         with self.lock:
             if self.stopping():
                 return None
-            lane = next(self.lanes, None)
-            if lane is None and self.progress.queue_empty is None:
-                self.progress.queue_empty = time.monotonic()
+            lane = self.next
+            if lane is not None:
+                self.next = next(self.lanes, None)
+                if self.next is None:
+                    self.progress.queue_empty = time.monotonic()
             return lane
 
     def pending(self, seconds: float, useful: float) -> None:
@@ -169,21 +183,28 @@ class _Worker:
         self.since = 0.0  # when the first of them ended
 
     def run(self) -> None:
-        try:
-            began = time.monotonic()
-            while self._refill():
-                useful = self._advance()
-                if len(self.waiting) >= self.width or (self.waiting and time.monotonic() - self.since > WAIT_SECONDS):
-                    self._hand_on()
-                began, before = time.monotonic(), began
-                self.shared.pending(began - before, useful)
-                if self.shared.stopping():
-                    break
-            while self.waiting:
+        error: BaseException | None = None  # it belongs to the caller's thread
+        for work in (self._work, self._hand_on_all):  # what has ended is handed on even after an error
+            try:
+                work()
+            except BaseException as caught:
+                error = error or caught
+        self.shared.results.put(_Ended(error))
+
+    def _work(self) -> None:
+        began = time.monotonic()
+        while self._refill():
+            useful = self._advance()
+            if len(self.waiting) >= self.width or (self.waiting and time.monotonic() - self.since > WAIT_SECONDS):
                 self._hand_on()
-            self.shared.results.put(_DONE)
-        except BaseException as error:  # it belongs to the caller's thread
-            self.shared.results.put(error)
+            began, before = time.monotonic(), began
+            self.shared.pending(began - before, useful)
+            if self.shared.stopping():
+                break
+
+    def _hand_on_all(self) -> None:
+        while self.waiting:
+            self._hand_on()
 
     def _refill(self) -> bool:
         """Fills free slots from the queue; False when no slot holds a lane."""
@@ -196,7 +217,8 @@ class _Worker:
             some = next(numbers for numbers in self.numbers if numbers is not None)
             self.hypers = self.stack([some if numbers is None else numbers for numbers in self.numbers])
             self.state, log = self.built.start(self.root, self.state, fresh, self.seeds.copy(), self.hypers)
-            self.tally.book(fresh, jax.tree.map(np.asarray, self.state.clock), log)
+            steps, updates = self.tally.book(fresh, jax.tree.map(np.asarray, self.state.clock), log)
+            self.shared.count(id(self), self.tally.share(), steps, updates, [])
         return any(lane is not None for lane in self.tally.slots)
 
     def _advance(self) -> float:

@@ -9,6 +9,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from jaxq import machine
 from jaxq.plans import Plan
 
@@ -50,10 +52,15 @@ def agree(path: Path, found: Manifest, plan: Plan) -> None:
             raise RunError(f"{path}: was made with {name} {found.get(name)}, this is {here}; choose another --out")
 
 
+#: JAX's own settings that enter a lane's bits.
+_SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_threefry_partitionable")
+
+
 def _machine() -> Manifest:
     packages = ("jaxq", "jax", "jaxlib", "flax", "optax", "numpy")
     return {
         "versions": {name: metadata.version(name) for name in packages} | {"python": platform.python_version()},
         "cpu": machine.processor(),
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "jax_settings": {name: jax.config.values[name] for name in _SETTINGS},
     }

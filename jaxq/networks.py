@@ -81,7 +81,7 @@ class Linear(nn.Module):
         bound = num_inputs**-0.5
 
         def uniform(key: Key, shape: tuple[int, ...]) -> Array:
-            return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
+            return jax.random.uniform(key, shape, jnp.float32, minval=-bound, maxval=bound)
 
         kernel = self.param("kernel", uniform, (num_inputs, self.num_outputs))
         bias = self.param("bias", uniform, (self.num_outputs,))

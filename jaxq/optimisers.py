@@ -51,7 +51,8 @@ def adamw(
         def zeros() -> PyTree:
             return jax.tree.map(jnp.zeros_like, params)
 
-        return AdamWState(zeros(), zeros(), zeros() if amsgrad else (), jnp.zeros(()), jnp.zeros(()))
+        weight = jnp.zeros((), jnp.result_type(jnp.float32, *jax.tree.leaves(params)))
+        return AdamWState(zeros(), zeros(), zeros() if amsgrad else (), weight, weight)
 
     def update(grads: PyTree, state: AdamWState, params: PyTree | None = None) -> tuple[PyTree, AdamWState]:
         if params is None:

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from jaxq.suggest import nearest
 
-#: More than any run makes; fits the int32 counters.
-NO_LIMIT = 2**31 - 1
+#: More than any run makes. The int32 counters go past a limit by less than a round, which is a buffer at most (2^24).
+NO_LIMIT = 2_000_000_000
 
 Probability = {"ge": 0.0, "le": 1.0}
 Scale = {"ge": 1e-6, "le": 1e6}

@@ -69,7 +69,7 @@ class RunDirectory:
         process has it.
         """
         try:
-            _examine(path, plan, resume, overwrite)
+            _goes_on(path, resume, overwrite)
             made = [folder for folder in (path, *path.parents) if not folder.exists()]
             path.mkdir(parents=True, exist_ok=True)
             lock = filelock.FileLock(path / run_files.LOCK)
@@ -79,7 +79,10 @@ class RunDirectory:
         except OSError as error:
             raise RunError(f"{path}: {error.strerror}") from None
         try:
-            found = _examine(path, plan, resume, overwrite)  # again: another process may have had it in between
+            goes_on = _goes_on(path, resume, overwrite)  # again: another process may have had it in between
+            found = manifest.read(path / run_files.MANIFEST) if goes_on else None
+            if found is not None:
+                manifest.agree(path, found, plan)
             for file in run_files.temporaries(path):
                 file.unlink()
             if found is not None:
@@ -227,20 +230,15 @@ def flatten(policy: Any) -> dict[str, np.ndarray]:
     return {"": np.asarray(policy)}
 
 
-def _examine(path: Path, plan: Plan, resume: bool, overwrite: bool) -> Manifest | None:
-    """The manifest of the run to go on with, or None where one is to be begun. Raises RunError for what is refused."""
-    if not path.exists() or (path.is_dir() and run_files.foreign(path) == set() and not run_files.own_files(path)):
-        return None  # nothing, or what a run left that could not even write its manifest
-    marked = path / run_files.MANIFEST
-    if not path.is_dir() or (run_files.foreign(path) and not _says_run(marked)):
+def _goes_on(path: Path, resume: bool, overwrite: bool) -> bool:
+    """Whether a directory holds a run to go on with, not one to begin. Raises RunError for what is refused."""
+    if not path.exists() or (path.is_dir() and not run_files.foreign(path) and not run_files.own_files(path)):
+        return False  # nothing, or what a run left that could not even write its manifest
+    if not path.is_dir() or (run_files.foreign(path) and not _says_run(path / run_files.MANIFEST)):
         raise RunError(f"{path}: exists and is not a run directory; choose another --out")
-    if overwrite:
-        return None
-    if not resume:
+    if not (resume or overwrite):
         raise RunError(f"{path}: exists; add --resume to finish it or --overwrite to replace it")
-    found = manifest.read(marked)
-    manifest.agree(path, found, plan)
-    return found
+    return not overwrite
 
 
 def _says_run(marked: Path) -> bool:

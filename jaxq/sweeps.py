@@ -150,10 +150,16 @@ def run(
                 stop=stop,
             )
             with contextlib.closing(results):  # its workers stop even when a write fails here
-                for result in results:
-                    sink.add(result)
-                    if on_result:
-                        on_result(result)
+                try:
+                    for result in results:
+                        sink.add(result)
+                        if on_result:
+                            on_result(result)
+                except KeyboardInterrupt:  # of who calls this from Python: what has ended is kept
+                    stop.set()
+                    for result in results:
+                        sink.add(result)
+                    raise
             outcome.timing.run_s += time.perf_counter() - began
             outcome.timing.book(seen)
     finally:
