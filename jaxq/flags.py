@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn, get_origin
 
@@ -35,16 +36,30 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"^-(\d|\.\d|inf|nan)")
 
     def error(self, message: str) -> NoReturn:
-        raise UsageError(message)
+        if given := re.fullmatch(r"argument (\S+): ignored explicit argument (.*)", message):
+            message = f"{given[1]} takes no value: {given[2]}"
+        raise UsageError(message.removeprefix("argument "))
 
 
 class Once(argparse.Action):
     """Stores a value and refuses a second one, where argparse would let the last one win."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
-        if getattr(namespace, self.dest) is not None:
-            raise UsageError(f"{option_string} stands twice; several values follow one flag")
+        given = vars(namespace).setdefault("given", set())
+        if self.dest in given:
+            raise UsageError(
+                f"{option_string} stands twice{'; several values follow one flag' if self.nargs == '+' else ''}"
+            )
+        given.add(self.dest)
         setattr(namespace, self.dest, values)
+
+
+def whole(text: str) -> int:
+    """A whole number."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed: a whole number") from None
 
 
 def directory(text: str) -> Path:
@@ -93,12 +108,21 @@ def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
     )
     run = made.add_argument_group("run")
     if several:
-        run.add_argument("--seeds", type=int, default=10, help="seeds of each setting (default 10)", metavar="N")
+        run.add_argument(
+            "--seeds", action=Once, type=whole, default=10, help="seeds of each setting (default 10)", metavar="N"
+        )
         run.add_argument("--episodes", action="store_true", help="keep a row of every training episode as well")
-    run.add_argument("--seed", type=int, default=0, help="root of all randomness (default 0)", metavar="N")
-    run.add_argument("--prng", default=None, help=f"key family (default {chosen.prng})", metavar="NAME")
     run.add_argument(
-        "--out", type=directory, default=None, help="run directory (default runs/<preset>-<hash>)", metavar="DIR"
+        "--seed", action=Once, type=whole, default=0, help="root of all randomness (default 0)", metavar="N"
+    )
+    run.add_argument("--prng", action=Once, default=None, help=f"key family (default {chosen.prng})", metavar="NAME")
+    run.add_argument(
+        "--out",
+        action=Once,
+        type=directory,
+        default=None,
+        help="run directory (default runs/<preset>-<hash>)",
+        metavar="DIR",
     )
     run.add_argument("--resume", action="store_true", help="finish the sweep that the run directory holds")
     run.add_argument("--overwrite", action="store_true", help="replace the run directory")
@@ -113,7 +137,7 @@ def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
         help="compile anew and keep nothing of it; else compiled programs are kept in $JAXQ_CACHE_DIR or in the"
         " user's directory for caches",
     )
-    run.add_argument("--workers", type=int, default=None, help="cores to use (default all)", metavar="N")
+    run.add_argument("--workers", action=Once, type=whole, default=None, help="cores to use (default all)", metavar="N")
     for title, wanted in (("hyperparameters", False), ("structure (each combination is compiled once)", True)):
         group = made.add_argument_group(title)
         for name, info in type(chosen.settings).model_fields.items():
@@ -124,22 +148,27 @@ def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
 
 def parse(command: str, chosen: Preset, words: list[str]) -> argparse.Namespace:
     """The options of a command. Raises UsageError, with the nearest known flag, for what it does not know."""
-    made = parser(command, chosen)
+    return read(parser(command, chosen), words, f"jaxq {command} {chosen.name}")
+
+
+def read(made: argparse.ArgumentParser, words: Sequence[str], what: str) -> argparse.Namespace:
+    """What a parser makes of the words. Raises UsageError for what it does not know, with the nearest known flag."""
     options, unknown = made.parse_known_args(words)
-    if unknown:
-        known = [flag for action in made._actions for flag in action.option_strings]
-        stray = next((word for word in unknown if word.startswith("-")), unknown[0]).split("=")[0]
-        if not stray.startswith("--") or stray == "--":
-            raise UsageError(
-                f"{stray} stands alone: what flag does it belong to? (jaxq train takes one value per flag)"
-            )
-        near = nearest(stray, known) if difflib.get_close_matches(stray, known) else "; --help lists the flags"
-        raise UsageError(f"{stray} is unknown to jaxq {command} {chosen.name}{near}")
-    return options
+    if not unknown:
+        return options
+    flag = next((word for word in unknown if word.startswith("-")), None)
+    if flag is None:
+        before = words[: len(words) - list(reversed(words)).index(unknown[0]) - 1]
+        last = next((word for word in reversed(before) if word.startswith("--")), None)
+        raise UsageError(f"{unknown[0]!r} is one value too many{f' for {last}' if last else ''}")
+    flag = flag.split("=")[0]
+    known = [flag for action in made._actions for flag in action.option_strings]
+    near = nearest(flag, known) if difflib.get_close_matches(flag, known) else "; --help lists the flags"
+    raise UsageError(f"{flag} is unknown to {what}{near}")
 
 
 def _add_flag(group: Any, name: str, info: FieldInfo, default: Any, several: bool) -> None:
-    shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
+    shown = (",".join(map(str, default)) or "none") if isinstance(default, tuple) else default
     text = f"{info.description} (default {shown})".replace("%", "%%")
     flag = f"--{name.replace('_', '-')}"
     metavar = "true|false" if info.annotation is bool else "VALUE"
@@ -157,5 +186,10 @@ def given_values(chosen: Preset, options: argparse.Namespace) -> dict[str, Any]:
         if raw is not None:
             words = raw if isinstance(raw, list) else [raw]
             is_tuple = get_origin(info.annotation) is tuple
-            given[name] = [tuple(word.split(",") if word else ()) if is_tuple else word for word in words]
+            given[name] = [_parts(word) if is_tuple else word for word in words]
     return given
+
+
+def _parts(word: str) -> tuple[str, ...]:
+    """``128,128`` as its parts; ``none`` has none."""
+    return () if word == "none" else tuple(word.split(","))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,7 +76,11 @@ def plan(name: str, *, seeds: int = 1, root_seed: int = 0, prng: str | None = No
         if not points:
             raise ValueError(f"{axis}: [] is not allowed: at least one value")
     settings = tuple(settle(base, **dict(zip(axes, point, strict=True))) for point in itertools.product(*axes.values()))
-    if len(set(settings)) < len(settings):
-        raise ValueError(f"{', '.join(axes)}: a value stands twice")
+    for axis, points in axes.items():
+        first = {name: values[0] for name, values in axes.items()}
+        counts = Counter(getattr(settle(base, **first | {axis: point}), axis) for point in points)
+        value, times = counts.most_common(1)[0]
+        if times > 1:
+            raise ValueError(f"{axis}: {value} stands twice")
     varied = tuple(axis for axis, points in axes.items() if len(points) > 1)
     return Plan(base, settings, varied, tuple(range(seeds)), root_seed, family)

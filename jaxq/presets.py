@@ -52,7 +52,8 @@ class Settings(BaseModel):
         for name in type(self).model_fields:
             value = getattr(self, name)
             if isinstance(value, float) and value != 0 and not 1e-37 < abs(value) < 1e38:
-                raise ValueError(f"{name}: {value} is not allowed: 0, or a size from 1e-37 to 1e38")
+                zero = "" if any(hasattr(rule, "gt") for rule in type(self).model_fields[name].metadata) else "0, or "
+                raise ValueError(f"{name}: {value} is not allowed: {zero}a size from 1e-37 to 1e38")
         return self
 
 
@@ -107,7 +108,7 @@ class DQNSettings(Settings):
     max_env_steps: int = number(300_000, "env steps after which a lane ends", ge=1, le=NO_LIMIT)
     success_steps: float = number(450.0, "solved when the mean episode length of the window is above this", ge=0)
     success_window: int = structure(50, "episodes of that window; 0 never ends a lane early", ge=0, le=10_000)
-    hidden: tuple[int, ...] = structure((128, 128), "units of the hidden layers, as 128,128")
+    hidden: tuple[int, ...] = structure((128, 128), "units of the hidden layers, as 128,128; none for a linear network")
     batch_size: int = structure(128, "transitions of a minibatch", ge=1, le=2**20)
     buffer_size: int = structure(10_000, "transitions that the replay keeps", ge=1, le=2**24)
     learning_starts: int = structure(128, "transitions stored when updates start", ge=1, le=2**24)
@@ -212,12 +213,23 @@ def settle(base: Preset, **overrides: Any) -> Settings:
         raise ValueError(_one_line(error)) from None
 
 
+#: pydantic's words for these would not say what is allowed.
+_ALLOWED = {
+    "missing": "too few values",
+    "too_long": "too many values",
+    "bool_parsing": "true or false",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number",
+}
+
+
 def _one_line(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
-    where = ".".join(str(part) for part in first["loc"])
-    message = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "missing":  # of a tuple: pydantic names the first index that is not there
-        return f"{first['loc'][0]}: {','.join(map(str, first['input']))} is not allowed: too few values"
-    if not where:
-        return message
-    return f"{where}: {first['input']} is not allowed: {message[0].lower()}{message[1:]}"
+    if not first["loc"]:
+        return first["msg"].removeprefix("Value error, ")
+    where = str(first["loc"][0])  # of a tuple pydantic names the part as well, or the first that is not there
+    value = first["input"]
+    shown = ",".join(map(str, value)) if isinstance(value, tuple) else value if str(value).strip() else repr(value)
+    message = _ALLOWED.get(first["type"]) or f"{first['msg'][0].lower()}{first['msg'][1:]}"
+    return f"{where}: {shown} is not allowed: {message}"

@@ -20,6 +20,7 @@ class Display:
         self.console = Console(stderr=True)
         self.began: float | None = None
         self.last: Done | None = None
+        self.earlier = 0  # lanes that the run directory held already
         self.bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -41,13 +42,13 @@ class Display:
 
     def __exit__(self, *error: object) -> None:
         self.bar.stop()
-        if self.talk and self.last is not None and self.began is not None:
-            seconds = time.monotonic() - self.began
-            self.console.print(
-                f"{self.last.done} of {self.plan.lanes} lanes, {self.last.solved} solved,"
-                f" {self.last.diverged} diverged; {self.last.env_steps} env steps in {seconds:.1f} s,"
-                f" {_rate(self.last.env_steps, seconds)}",
-                highlight=False,
+        if self.last is not None and self.began is not None:
+            last, seconds = self.last, time.monotonic() - self.began
+            earlier = f", {self.earlier} of them earlier" if self.earlier else ""
+            self.say(
+                f"{last.done} of {self.plan.lanes} lanes, {last.solved} solved, {last.diverged} diverged{earlier};"
+                f" {last.env_steps} env steps{' now' if earlier else ''} in {seconds:.1f} s,"
+                f" {_rate(last.env_steps, seconds)}"
             )
 
     def say(self, text: str) -> None:
@@ -57,12 +58,15 @@ class Display:
 
     def compiling(self, number: int, programs: int) -> None:
         """Program ``number`` of ``programs`` is about to be compiled."""
+        if self.bar.disable and programs > 1:
+            self.say(f"{self.plan.preset.name}: program {number} of {programs}")
         self.bar.update(self.task, description=f"{self.plan.preset.name}: compiling {number}/{programs}")
 
     def progress(self, done: Done) -> None:
         """Shows where the engine stands."""
         now = time.monotonic()
-        self.began = self.began or now
+        if self.began is None:
+            self.began, self.earlier = now, done.done
         self.last = done
         self.bar.update(
             self.task,

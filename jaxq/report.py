@@ -12,17 +12,23 @@ from rich.table import Table
 
 from jaxq.tables import Row
 
+#: The characters of a table's lines, which a terminal may lack.
+LINES = "─"
 
-def settings_table(summary: Sequence[Row], varied: Sequence[str], *, color: bool = False) -> str:
-    """One line of text per setting: seeds, solved share, times to success, returns, each with its 95 % interval."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+
+def settings_table(summary: Sequence[Row], varied: Sequence[str], *, color: bool = False, plain: bool = False) -> str:
+    """One line of text per setting: seeds, solved share, times to success, returns, each with its 95 % interval.
+
+    ``plain`` draws the lines in ASCII.
+    """
+    table = Table(box=box.ASCII2 if plain else box.SIMPLE_HEAD, pad_edge=False)
     headings = [*varied, "seeds", "solved", "episodes", "env steps", "final return", "greedy return"]
     if any(row["diverged"] for row in summary):
         headings.append("diverged")
     for heading in headings:
         table.add_column(heading, justify="right")
     for row in summary:
-        cells = [_cell(row[name]) for name in varied]
+        cells = [str(row[name]) for name in varied]  # as --json has them: rounded, two may look alike
         cells += [
             str(row["seeds"]),
             _interval(row, "solved", 2),
@@ -39,10 +45,11 @@ def settings_table(summary: Sequence[Row], varied: Sequence[str], *, color: bool
         " 50 episodes; returns are interquartile means; brackets: 95 % intervals"
     )
     table.caption_justify = "left"
-    console = Console(file=io.StringIO(), width=200, force_terminal=color)
+    # Both sizes: with the width alone rich takes 80 where the terminal calls itself dumb.
+    console = Console(file=io.StringIO(), width=200, height=100, force_terminal=color)
     with console.capture() as text:
         console.print(table)
-    return text.get().rstrip()
+    return "\n".join(line.rstrip() for line in text.get().splitlines()).strip("\n")
 
 
 def q_table(values: np.ndarray, num_buckets: Sequence[int]) -> str:

@@ -214,7 +214,7 @@ def test_bench_prints_a_table_and_json(capsys, monkeypatch, module):
         (["evn"], "suite 'evn' is unknown; did you mean 'env'?"),
         (["env", "--repeats", "0"], "0 is not allowed: a whole number from 1 to 1000"),
         (["env", "--seconds", "nan"], "nan is not allowed: a number from 0 to 3600"),
-        (["env", "--cases", "3"], "cases: 3 are none of env's"),
+        (["env", "--cases", "3"], "cases: env has no 3; known: 1, "),
         (["env", "--sceonds", "1"], "--sceonds"),
     ],
 )

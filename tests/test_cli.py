@@ -215,6 +215,21 @@ def test_a_setting_whose_lanes_all_diverge_is_exit_1_and_said(capsys):
         (["train", "article-q", "--gamma", "0.9", "0.99"], "0.99"),
         (["swep", "article-q"], "did you mean 'sweep'"),
         (["list", "everything"], "everything"),
+        (["list", "--jso"], "--jso is unknown to jaxq list"),
+        (["--verson"], "did you mean '--version'"),
+        (["sweep", "--seeds", "3", "article-q"], "the preset comes first: jaxq sweep PRESET"),
+        (["sweep", "article-q", "-x"], "-x is unknown to jaxq sweep article-q"),
+        (["sweep", "article-q", "extra"], "'extra' is one value too many"),
+        (["sweep", "article-q", "--seed", "1", "2", "3"], "'2' is one value too many for --seed"),
+        (["train", "article-q", "--gamma", "0.9", "--gamma", "0.8"], "--gamma stands twice"),
+        (["sweep", "article-q", "--seeds", "5", "--seeds", "6"], "--seeds stands twice"),
+        (["sweep", "article-q", "--out", "a", "--out", "b"], "--out stands twice"),
+        (["sweep", "article-q", "--gamma", "0.9", "0.99", "--alpha-min", "0.1", "0.2", "0.1"], "alpha_min: 0.1 stands"),
+        (["sweep", "article-q", "--seeds", "ten"], "--seeds: 'ten' is not allowed: a whole number"),
+        (["sweep", "article-q", "--json=1"], "--json takes no value"),
+        (["sweep", "article-q", "--bootstrap-terminal", "maybe"], "true or false"),
+        (["sweep", "article-dqn", "--hidden", ""], "hidden"),
+        (["bench", "env", "--cases", "7"], "65536"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_2_and_leaves_nothing(words, said, capsys):
@@ -231,6 +246,10 @@ def test_dry_run_says_what_would_run_and_runs_nothing(capsys):
     out = capsys.readouterr().out
     assert "4 settings x 10 seeds = 40 lanes" in out
     assert "2 programs" in out
+    assert main(["sweep", "article-dqn", "--seeds", "1", "--hidden", "none", "--dry-run"]) == 0
+    assert capsys.readouterr().out == "1 setting x 1 seed = 1 lane\n1 program\n"
+    assert main(["sweep", "article-dqn", "--seeds", "3", "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"settings": 1, "seeds": 3, "lanes": 3, "programs": 1}
     assert not list(Path().iterdir())
 
 

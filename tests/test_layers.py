@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parent.parent / "jaxq"
 #: Each module may import from lower rows only; modules of one row do not know each other unless listed together in
 #: a pair below.
 LAYERS = [
-    ["types", "families", "suggest", "cpu", "machine", "run_files", "bench.worker"],
+    ["types", "families", "suggest", "cpu", "machine", "run_files", "streams", "bench.worker"],
     ["bench.contest", "bench.report", "bench"],
     ["prng", "trigonometry", "rules", "schedules", "policies", "presets"],
     ["envs.auto_reset", "envs.cartpole", "envs.discretise", "networks", "optimisers", "replay", "success", "plans"],
@@ -28,6 +28,7 @@ LAYERS = [
     ["sweeps", "bench.equal_lanes"],
     ["bench.env", "bench.tabular", "bench.dqn", "bench.sweep", "bench.suites"],
     ["bench.command"],
+    ["commands"],
     ["cli"],
     ["__main__"],
 ]

@@ -50,7 +50,8 @@ def run(
         if options.cases:
             contenders = [_only(contender, options.cases) for contender in contenders]
             if not any(contender.cases for contender in contenders):
-                raise ValueError(f"cases: {' '.join(options.cases)} are none of {suite.name}'s")
+                known = dict.fromkeys(case for contender in suite.contenders for case in contender.cases)
+                raise ValueError(f"cases: {suite.name} has no {' '.join(options.cases)}; known: {', '.join(known)}")
         with _Bar(suite.name, options.quiet) as bar:
             result = contest(
                 [contender for contender in contenders if contender.cases],
