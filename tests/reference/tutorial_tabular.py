@@ -2,7 +2,7 @@
 
 Run it to remake ``tutorial_tabular.json``, the summary the tests compare ``article-q`` with:
 
-    python tests/reference/tutorial_tabular.py --seeds 400 --processes 2 > tests/reference/tutorial_tabular.json
+    python tests/reference/tutorial_tabular.py --seeds 2000 --processes 2 > tests/reference/tutorial_tabular.json
 
 One loop per seed, float64 table, Python floats: nothing here is shared with jaxq.
 """
@@ -98,7 +98,7 @@ def _summary(seed):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=400)
+    parser.add_argument("--seeds", type=int, default=2000)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)
     args = parser.parse_args()
