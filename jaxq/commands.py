@@ -81,7 +81,7 @@ def _with_directory(command: str, planned: Plan, options: argparse.Namespace, st
     except RuntimeError as error:  # jaxlib's
         if "RESOURCE_EXHAUSTED" not in str(error):
             raise
-        return _failed(f"not enough memory: {str(error).splitlines()[0]}")
+        return _failed(f"not enough memory: {str(error).splitlines()[0].removeprefix('RESOURCE_EXHAUSTED: ')}")
 
 
 def _failed(what: str, status: int = EXIT_FAILED) -> int:
