@@ -146,6 +146,28 @@ def test_the_window_rule_divides_by_the_window_even_before_it_is_full():
     jax.tree.map(np.testing.assert_array_equal, unchanged, state)
 
 
+@pytest.mark.parametrize("window", [7, 13, 15, 50, 100])
+def test_a_mean_equal_to_the_threshold_is_not_above_it_in_a_compiled_program_either(window):
+    rule = success.window_mean(window)
+
+    @jax.jit
+    @jax.vmap
+    def judged(lengths, threshold):
+        def body(state, length):
+            return rule.update(state, jnp.array(True), length, Limits(0, 0, threshold, 0))
+
+        return jax.lax.scan(body, rule.init(), lengths)[1]
+
+    thresholds = np.arange(1, 501)
+    off = np.random.default_rng(window).integers(thresholds[:, None], size=(500, window // 2))
+    lengths = np.concatenate([thresholds[:, None] + off, thresholds[:, None] - off], axis=1)
+    lengths = np.concatenate([lengths, np.repeat(thresholds[:, None], window % 2, axis=1)], axis=1)
+    np.testing.assert_array_equal(lengths.sum(1), thresholds * window)
+    assert not judged(lengths, thresholds.astype(np.float32))[:, -1].any()
+    lengths[:, 0] += 1
+    assert judged(lengths, thresholds.astype(np.float32))[:, -1].all()
+
+
 def test_the_streak_rule_wants_more_than_the_streak_and_starts_over_on_a_failure():
     rule = success.streak()
     limits = Limits(0, 0, np.int32(9), np.int32(2))
