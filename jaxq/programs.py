@@ -22,7 +22,7 @@ from jaxq.types import Agent, Env, Experiment, Hypers
 
 @dataclass(frozen=True)
 class Program:
-    """An Experiment with what the engine must know of it: the lanes of a group, and how a round advances the clock.
+    """An Experiment with what the engine must know of it: the lanes of a group, and the environments of a lane.
 
     ``width`` is the number of lanes that are vmapped together: on a CPU few enough to stay in cache, the same for one
     lane and for a hundred thousand.
@@ -30,7 +30,6 @@ class Program:
 
     experiment: Experiment
     width: int
-    steps_per_round: int
     num_envs: int
 
 
@@ -61,7 +60,7 @@ def _(settings: TabularSettings, impl: str) -> Program:
         )
 
     made = experiment(make_env, make_agent, success=success.streak(), rounds=4000, impl=impl)
-    return Program(made, width=16, steps_per_round=1, num_envs=1)
+    return Program(made, width=16, num_envs=1)
 
 
 @hypers.register
@@ -107,7 +106,7 @@ def _(settings: DQNSettings, impl: str) -> Program:
         warm_up_steps=settings.learning_starts,
         impl=impl,
     )
-    return Program(made, width=4, steps_per_round=settings.steps_per_update, num_envs=settings.num_envs)
+    return Program(made, width=4, num_envs=settings.num_envs)
 
 
 @hypers.register

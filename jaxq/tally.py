@@ -196,11 +196,11 @@ def _steps_between(tick: np.ndarray) -> np.ndarray:
 
 
 def _means(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Mean of each lane's valid rows. Shapes: values [U, L], valid [L] -> [L].
+    """Mean of each lane's valid rows, in float64. Shapes: values [U, L] float32, valid [L] -> [L].
 
     Each lane's sum goes down its own column, whatever its neighbours do.
     """
-    summed = np.einsum("ul->l", values)  # many times quicker than a sum along the first axis
+    summed = np.einsum("ul->l", values, dtype=float)  # twice as quick as a sum along the first axis
     for i in np.flatnonzero((valid > 0) & (valid < len(values))):
-        summed[i] = values[: valid[i], i].sum()
+        summed[i] = values[: valid[i], i].sum(dtype=float)
     return summed / np.maximum(valid, 1)

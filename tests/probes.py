@@ -1,5 +1,6 @@
 """Small environments and agents whose behaviour is known by heart, for tests of the machinery."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -31,21 +32,34 @@ def counter(length: int, *, truncates: bool = False) -> Env:
     return Env(reset, step, observe, num_actions=2, obs_shape=(), num_states=length + 1)
 
 
-def recorder(seen: int) -> Agent:
-    """Learns nothing: its state is the last ``seen`` transitions' (obs, next obs, reward, continues, cut)."""
+def draw(key):
+    """A number that tells keys apart: 24 bits, exact in float32."""
+    return jax.random.randint(key, (), 0, 2**24).astype(jnp.float32)
+
+
+def dice() -> Env:
+    """Episodes of one step: observation and reward are what the reset drew, the successor is what the step drew."""
+
+    def step(key, state, action):
+        del action
+        return state, Step(draw(key), state, jnp.array(True), jnp.array(False))
+
+    return Env(draw, step, lambda state: state, num_actions=2, obs_shape=())
+
+
+def recorder(seen: int, fields=("obs_tm1", "obs_t", "r_t", "continues_t", "cut_t")) -> Agent:
+    """Learns nothing: its state is what the last ``seen`` transitions held in these fields."""
 
     def init(key, example):
         del key, example
-        return jnp.full((seen, 5), -1.0)
+        return jnp.full((seen, len(fields)), -1.0)
 
     def act(key, state, obs, clock):
         del state, obs, clock
         return jax.random.randint(key, (), 0, 2)
 
     def observe(state, experience):
-        rows = jnp.stack(
-            [experience.obs_tm1, experience.obs_t, experience.r_t, experience.continues_t, experience.cut_t], -1
-        ).reshape(-1, 5)
+        rows = jnp.stack([getattr(experience, field) for field in fields], -1).reshape(-1, len(fields))
         return jnp.concatenate([state, rows])[-seen:]
 
     def update(key, state, experience, clock):
@@ -60,4 +74,31 @@ def recorder(seen: int) -> Agent:
         observe=observe,
         policy=lambda state: state,
         q_values=lambda policy, obs: jnp.zeros(2),
+    )
+
+
+def watch(seen: int) -> Agent:
+    """Learns nothing: its state is the clock of the last ``seen`` updates."""
+
+    def update(key, state, experience, clock):
+        del key, experience
+        return jnp.concatenate([state, jnp.stack(clock)[None]])[-seen:], Metrics(clock.live * 0.0, jnp.zeros(()))
+
+    return replace(recorder(seen), init=lambda key, example: jnp.full((seen, 4), -1.0), update=update)
+
+
+def gambler(seen: int, updates: int) -> Agent:
+    """Learns nothing: it draws its start, its actions and something in each update, and its state is what the start and
+    the last ``updates`` drew, and the last ``seen`` transitions' (obs, action, next obs)."""
+    inner = recorder(seen, ("obs_tm1", "a_tm1", "obs_t"))
+
+    def update(key, state, experience, clock):
+        rows, metrics = inner.update(None, state[1], experience, clock)
+        return (jnp.append(state[0], draw(key))[1:], rows), metrics
+
+    return replace(
+        inner,
+        init=lambda key, example: (jnp.zeros(updates + 1).at[-1].set(draw(key)), inner.init(None, example)),
+        act=lambda key, state, obs, clock: draw(key),
+        update=update,
     )

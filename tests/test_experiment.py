@@ -6,6 +6,7 @@ import numpy as np
 import probes
 import pytest
 
+from jaxq import experiment as module
 from jaxq import prng, success
 from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED, Limits, experiment, greedy_returns
 from jaxq.types import Hypers, Metrics
@@ -56,6 +57,23 @@ def test_warm_up_stores_without_learning_and_shows_its_episodes():
     assert state.agent[:, 0].tolist() == [0, 1, 2, 0, 1, 2, 0]
     assert bool(jnp.isnan(first.max_q).all())
     assert not bool(log.over.any())
+
+
+@pytest.mark.parametrize(("num_envs", "steps"), [(1, 1), (2, 4)])
+def test_an_update_sees_the_clock_under_which_its_transitions_were_chosen(num_envs, steps):
+    made = experiment(
+        lambda _: probes.counter(3),
+        lambda _, env: probes.watch(9),
+        success=success.never(),
+        rounds=9,
+        num_envs=num_envs,
+        steps_per_round=steps,
+    )
+    h = hypers(steps=7 * steps * num_envs)
+    state, _ = jax.jit(made.advance)(made.init(prng.key(0), h)[0], h)
+    done = np.minimum(np.arange(9), 7)  # rounds before each update; the lane ends with the seventh
+    expected = [done * steps * num_envs, done * steps // 3 * num_envs, done, np.arange(9) < 7]
+    np.testing.assert_array_equal(state.agent, np.stack(expected, 1))
 
 
 @pytest.mark.parametrize(
@@ -120,6 +138,47 @@ def test_seeds_differ_in_everything_and_the_state_holds_no_typed_key():
         assert not jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
+def play(*seeds):
+    """Of trainings in which every key can be told: what the agent drew and was shown in 4 rounds of 5 steps of 3
+    environments, and what its evaluation started from."""
+    made = experiment(
+        lambda _: probes.dice(),
+        lambda _, env: probes.gambler(60, updates=4),
+        success=success.never(),
+        rounds=4,
+        num_envs=3,
+        steps_per_round=5,
+    )
+
+    @jax.jit
+    def run(key):
+        state, _ = made.advance(made.init(key, hypers())[0], hypers())
+        return state.agent, made.evaluate(key, (), hypers())
+
+    return [run(prng.key(seed)) for seed in seeds]
+
+
+@pytest.fixture(scope="module")
+def played():
+    return play(0, 1)
+
+
+def test_no_seed_no_environment_and_no_step_shares_a_key(played):
+    drawn = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(played)])
+    # The start and 4 updates; the observation, the action and the successor of each step; each evaluation's start.
+    assert len(drawn) == 2 * (5 + 4 * 5 * 3 * 3 + 10)
+    assert len(set(drawn.tolist())) == len(drawn)
+
+
+@pytest.mark.parametrize("stream", module._Streams._fields)
+def test_evaluation_alone_draws_from_its_stream(played, monkeypatch, stream):
+    streams = module._streams
+    monkeypatch.setattr(module, "_streams", lambda *of: streams(*of)._replace(**{stream: prng.key(99)}))
+    ((trained, evaluated),) = play(0)
+    assert jax.tree.all(jax.tree.map(np.array_equal, trained, played[0][0])) == (stream == "evaluate")
+    assert np.array_equal(evaluated, played[0][1]) == (stream != "evaluate")
+
+
 def test_greedy_returns_are_of_whole_episodes():
     returns = greedy_returns(prng.key(0), probes.counter(7), lambda obs: jnp.zeros(2), episodes=3, max_steps=20)
     assert returns.tolist() == [7.0, 7.0, 7.0]
@@ -144,6 +203,28 @@ def test_the_window_rule_divides_by_the_window_even_before_it_is_full():
     assert solved == expected
     unchanged, _ = rule.update(state, jnp.array(False), jnp.array(99), limits)
     jax.tree.map(np.testing.assert_array_equal, unchanged, state)
+
+
+@pytest.mark.parametrize("window", [7, 13, 15, 50, 100])
+def test_a_mean_equal_to_the_threshold_is_not_above_it_in_a_compiled_program_either(window):
+    rule = success.window_mean(window)
+
+    @jax.jit
+    @jax.vmap
+    def judged(lengths, threshold):
+        def body(state, length):
+            return rule.update(state, jnp.array(True), length, Limits(0, 0, threshold, 0))
+
+        return jax.lax.scan(body, rule.init(), lengths)[1]
+
+    thresholds = np.arange(1, 501)
+    off = np.random.default_rng(window).integers(thresholds[:, None], size=(500, window // 2))
+    lengths = np.concatenate([thresholds[:, None] + off, thresholds[:, None] - off], axis=1)
+    lengths = np.concatenate([lengths, np.repeat(thresholds[:, None], window % 2, axis=1)], axis=1)
+    np.testing.assert_array_equal(lengths.sum(1), thresholds * window)
+    assert not judged(lengths, thresholds.astype(np.float32))[:, -1].any()
+    lengths[:, 0] += 1
+    assert judged(lengths, thresholds.astype(np.float32))[:, -1].all()
 
 
 def test_the_streak_rule_wants_more_than_the_streak_and_starts_over_on_a_failure():

@@ -2,15 +2,20 @@
 
 import threading
 import time
+from collections import Counter
 
 import jax
 import numpy as np
+import probes
 import pytest
 
-from jaxq import executables, prng, programs
+from jaxq import executables, prng, programs, success
 from jaxq import lanes as engine
+from jaxq.agents.dqn import DQNHypers
+from jaxq.experiment import Limits, experiment
 from jaxq.plans import plan
 from jaxq.tally import Lane
+from jaxq.types import Hypers
 
 PRNG = "pcg4d"
 #: Short runs: every lane ends at its episode limit or, where alpha is high, by success of three episodes.
@@ -35,8 +40,8 @@ def bench(request):
     return compiled, [Lane(c, s, h) for c, h in enumerate(numbers) for s in range(30)]
 
 
-def finish(compiled, lanes, **options):
-    results = engine.run(compiled, iter(lanes), root_seed=0, impl=PRNG, total=len(lanes), **options)
+def finish(compiled, lanes, root_seed=0, **options):
+    results = engine.run(compiled, iter(lanes), root_seed=root_seed, impl=PRNG, total=len(lanes), **options)
     return {(r.lane.config, r.lane.seed): r for r in results}
 
 
@@ -61,6 +66,41 @@ def test_every_lane_ends_once_with_its_counts(bench, everyone):
         assert result.episodes.env_steps[-1] <= result.env_steps
         np.testing.assert_array_equal(result.episodes.total, result.episodes.length)  # CartPole pays 1 a step
         assert np.all(np.cumsum(result.episodes.length) == result.episodes.env_steps)
+
+
+def test_updates_start_when_enough_is_stored_and_the_learning_rate_ends_with_the_last(bench, everyone):
+    _, lanes = bench
+    network = isinstance(lanes[0].hypers.agent, DQNHypers)
+    for result in everyone.values():
+        assert result.updates == result.env_steps - (NETWORK["learning_starts"] - 1 if network else 0)
+        if network:
+            assert result.env_steps == NETWORK["max_env_steps"]
+            assert result.lane.hypers.agent.anneal_updates == result.updates - 1  # as many were before the last
+
+
+def test_episodes_of_many_environments_and_steps_in_a_round_are_told_apart():
+    envs, steps, starts = 3, 5, 40
+    changed = {"num_envs": envs, "steps_per_update": steps, "learning_starts": starts, "max_env_steps": 2000}
+    one = settings_of("article-dqn", **{**NETWORK, "hidden": (4,), **changed})[0]
+    compiled = executables.build(programs.program(one, PRNG), programs.hypers(one), PRNG)
+    for result in finish(compiled, [Lane(0, seed, programs.hypers(one)) for seed in range(5)]).values():
+        told = result.episodes
+        np.testing.assert_array_equal(told.total, told.length)  # CartPole pays 1 a step
+        assert np.all(np.diff(told.env_steps) >= 0)
+        assert told.env_steps[-1] <= result.env_steps
+        assert len(told.length) == result.curve.episodes[-1]
+        # Each environment's episodes follow one another from its step 0 on.
+        assert np.all(told.env_steps % envs == 0)
+        ends = Counter((told.env_steps // envs).tolist())
+        begins = Counter((told.env_steps // envs - told.length).tolist())
+        assert begins - ends == {0: envs}
+        assert (ends - begins).total() == envs
+        # The first update is that of the first round with enough; max_q is of updates alone.
+        assert result.updates == (result.env_steps - starts) // (envs * steps) + 1
+        warm_up = result.env_steps - result.updates * envs * steps
+        np.testing.assert_array_equal(np.isnan(told.max_q), told.env_steps <= warm_up)
+        # The learning rate ends with the last update or, since the last round may go past the limit, the one before.
+        assert result.updates - 1 - result.lane.hypers.agent.anneal_updates in (0, 1)
 
 
 def test_episodes_are_told_as_they_come(bench, everyone):
@@ -95,6 +135,49 @@ def test_seeds_of_a_setting_differ(everyone):
     first = [r for (config, _), r in everyone.items() if config == 0]
     weights = {np.asarray(jax.tree.leaves(r.policy)[0]).tobytes() for r in first}
     assert len(weights) == len(first)
+
+
+@pytest.fixture(scope="module")
+def game():
+    """A compiled program whose evaluation returns what its resets drew, and lanes of two settings and five seeds."""
+    made = experiment(
+        lambda _: probes.dice(),
+        lambda _, env: probes.gambler(4, updates=4),
+        success=success.never(),
+        rounds=8,
+        impl=PRNG,
+    )
+    numbers = [Hypers((), (), Limits(*np.int32([9, limit, 0, 0]))) for limit in (5, 7)]
+    compiled = executables.build(programs.Program(made, width=4, num_envs=1), numbers[0], PRNG)
+    return compiled, [Lane(c, s, h) for c, h in enumerate(numbers) for s in range(5)]
+
+
+def test_settings_of_a_seed_are_evaluated_from_the_same_start_states_and_seeds_from_others(game):
+    results = finish(*game)
+    starts = {key: result.eval_returns.tolist() for key, result in results.items()}
+    for seed in range(5):
+        assert starts[0, seed] == starts[1, seed]
+    drawn = [number for seed in range(5) for number in starts[0, seed]]
+    assert len(set(drawn)) == len(drawn)
+
+
+def test_the_root_seed_changes_every_lane_and_alone_decides_it(game):
+    first, again, other = (finish(*game, root_seed=root) for root in (3, 3, 4))
+    for key, result in first.items():
+        assert_same(result, again[key])
+        for leaf, leaf_so in zip(jax.tree.leaves(result.policy), jax.tree.leaves(other[key].policy), strict=True):
+            assert not np.intersect1d(leaf, leaf_so).size
+        assert not np.intersect1d(result.eval_returns, other[key].eval_returns).size
+
+
+def test_ended_lanes_are_evaluated_together_each_with_its_own_numbers():
+    # No pole falls in fewer than 8 steps, so each episode is as long as its setting lets it be.
+    settings = settings_of("q-learning", max_steps=[3, 4, 5, 6, 7], **TABLE)
+    numbers = [programs.hypers(one) for one in settings]
+    compiled = executables.build(programs.program(settings[0], PRNG), numbers[0], PRNG)
+    results = finish(compiled, [Lane(c, s, h) for s in range(4) for c, h in enumerate(numbers)], workers=1)
+    for (config, _), result in results.items():
+        np.testing.assert_array_equal(result.eval_returns, settings[config].max_steps)
 
 
 def test_a_diverging_lane_is_reported_and_changes_no_other_by_a_bit():

@@ -2,12 +2,16 @@
 
 import json
 
+import gymnasium
 import numpy as np
 import pytest
 from conftest import REFERENCE
 from scipy import stats
 
 import jaxq
+from jaxq import programs
+from jaxq.envs import tutorial_edges
+from jaxq.presets import preset, settle
 
 #: Two samples of the same distribution are called different once in a thousand.
 ALPHA = 1e-3
@@ -16,6 +20,15 @@ ALPHA = 1e-3
 @pytest.fixture(scope="module")
 def swept():
     return jaxq.sweep("article-q", seeds=1000)
+
+
+@pytest.mark.parametrize("counts", [(1, 1, 6, 3), (3, 4, 7, 8)])  # one bucket has no edges: a bound is not seen there
+def test_article_q_has_the_bounds_of_gymnasiums_observation_space_and_of_the_tutorial(tutorial, counts):
+    with gymnasium.make("CartPole-v1") as env:
+        low, high = zip(*tutorial.state_bounds(env), strict=True)
+    _, edges = programs.hypers(settle(preset("article-q"), num_buckets=counts)).env
+    for ours, theirs in zip(edges, tutorial_edges(low, high, counts), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 def test_article_q_succeeds_as_often_as_the_tutorials_code(swept):
