@@ -94,6 +94,8 @@ def _setting(config: int, rows: list[Row], varied: Sequence[str]) -> Row:
     one = len(rows) == 1
     successes = sum(row["status"] == "solved" for row in rows)
     solved = stats.Estimate(float(successes), None, None) if one else stats.share(successes, len(rows))
+    if rows[0].get("success_window") == 0:  # nobody looks for success: none is not a share of 0
+        solved = stats.Estimate(None, None, None)
     kept = [row for row in rows if row["status"] != "diverged"]
     final = stats.interquartile_mean([row["final_return"] for row in kept if row["final_return"] is not None])
     greedy = stats.interquartile_mean([row["eval_return"] for row in kept if row["eval_return"] is not None])

@@ -170,6 +170,14 @@ def test_a_sweep_of_dqn_over_numbers_and_structures(capsys):
     assert all(row["updates"] == 600 - 32 + 1 for row in out["lanes"])
 
 
+def test_who_does_not_look_for_success_reports_no_share_of_it(capsys):
+    status, out = sweep_json(capsys, "article-dqn", *TINY, "--success-window", "0", "50", "--seeds", "2")
+    assert status == 0
+    without, looking = out["summary"]
+    assert (without["solved"], without["solved_low"], without["solved_high"]) == (None, None, None)
+    assert looking["solved"] == 0
+
+
 def test_train_dqn_draws_episode_lengths(capsys):
     assert main(["train", "article-dqn", *TINY, "--out", "net", "--quiet"]) == 0
     assert Path("net/episodes.png").exists()
