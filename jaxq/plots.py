@@ -46,7 +46,7 @@ def q_values(max_q: np.ndarray) -> Figure:
         axes.set_yscale("symlog", linthresh=1, linscale=math.log10(sizes.max()) / 8)
         locator: Any = axes.yaxis.get_major_locator()
         locator.set_params(numticks=9)
-    axes.plot(x, y, linewidth=0.4, color=COLORS[0], alpha=0.5, label="each step", **_marks(finite.sum()))
+    axes.plot(x, y, linewidth=0.4, color=COLORS[0], alpha=0.5, label="each step", **_marks(int(finite.sum())))
     _draw_mean(axes, x, y, max(WINDOW, len(y) // GRID), COLORS[0])
     gone = ~finite & (x > x[finite][0])
     if gone.any():
