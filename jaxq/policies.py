@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxq.types import Array, Key
+
+#: Up to this many actions are compared one by one, which XLA fuses with what is before and after; the reduction that
+#: ``argmax`` becomes is a loop of its own.
+FEW_ACTIONS = 8
 
 
 def greedy(q: Array) -> Array:
@@ -16,19 +21,24 @@ def greedy(q: Array) -> Array:
     >>> int(greedy(jnp.array([0.0, 2.0, 2.0])))
     1
     """
-    return jnp.argmax(q).astype(jnp.int32)
+    if q.shape[-1] > FEW_ACTIONS:
+        return jnp.argmax(q).astype(jnp.int32)
+    best, action = q[0], jnp.zeros((), jnp.int32)
+    for a in range(1, q.shape[-1]):
+        better = (q[a] > best) | (jnp.isnan(q[a]) & ~jnp.isnan(best))  # the first NaN is NumPy's largest
+        best, action = jnp.where(better, q[a], best), jnp.where(better, a, action)
+    return action
 
 
 def epsilon_greedy(key: Key, q: Array, epsilon: Array) -> Array:
     """With probability epsilon an action drawn uniformly from all, otherwise the greedy one.
 
     Shapes: q [A], epsilon [] -> [] int32. Sutton and Barto, 2018, section 2.2. One draw of two words: the first
-    decides whether to explore, the second which action.
+    decides whether to explore, the second which action. Raises ValueError for more than 2^16 actions.
     """
     words = jax.random.bits(key, (2,), jnp.uint32)
     explore = _unit(words[0]) < epsilon
-    drawn = jnp.floor(_unit(words[1]) * q.shape[-1]).astype(jnp.int32)
-    return jnp.where(explore, drawn, greedy(q))
+    return jnp.where(explore, _below(words[1], q.shape[-1]), greedy(q))
 
 
 def boltzmann(key: Key, q: Array, temperature: Array) -> Array:
@@ -38,6 +48,18 @@ def boltzmann(key: Key, q: Array, temperature: Array) -> Array:
     Sutton and Barto, 2018, section 2.8.
     """
     return jax.random.categorical(key, q / temperature).astype(jnp.int32)
+
+
+def _below(word: Array, count: int) -> Array:
+    """A uint32 word as an integer in 0 .. count - 1: floor(word count / 2^32), exactly. Shapes: [...] -> [...] int32.
+
+    In integers of 32 bits, by the word's halves. Raises ValueError for more than 2^16 choices.
+    """
+    if count > 2**16:
+        raise ValueError(f"num_actions: {count} must be at most {2**16}")
+    low, high = word & np.uint32(0xFFFF), word >> np.uint32(16)
+    factor = np.uint32(count)
+    return ((high * factor + ((low * factor) >> np.uint32(16))) >> np.uint32(16)).astype(jnp.int32)
 
 
 def _unit(word: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
+from jaxq.elementary import log10
 from jaxq.types import Array
 
 
@@ -39,4 +40,7 @@ def log10_decay(count: Array, low: Array, high: Array, coefficient: Array) -> Ar
     >>> float(log10_decay(jnp.array(0), 0.01, 1.0, 25.0))
     1.0
     """
-    return jnp.clip(1 - jnp.log10((count + 1) / coefficient), low, high)
+    dtype = jnp.result_type(float, coefficient)
+    # The coefficient's logarithm on its own: it leaves the loop, and the division of every step with it.
+    decay = log10(jnp.asarray(count + 1, dtype)) - log10(jnp.asarray(coefficient, dtype))
+    return jnp.clip(1 - decay, low, high)

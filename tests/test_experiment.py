@@ -8,7 +8,8 @@ import pytest
 
 from jaxq import experiment as module
 from jaxq import prng, success
-from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED, Limits, experiment, greedy_returns
+from jaxq.evaluation import greedy_returns
+from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED, Limits, experiment
 from jaxq.types import Hypers, Metrics
 
 

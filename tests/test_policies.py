@@ -16,7 +16,8 @@ from scipy import stats
 from jaxq import policies, schedules
 
 DRAWS = 40_000
-FEW = st.sampled_from([-1.0, 0.0, 2.0])  # few values, many ties
+FEW = st.sampled_from([-1.0, 0.0, 2.0, np.inf, -np.inf, np.nan])  # few values, many ties
+MANY_ACTIONS = policies.FEW_ACTIONS + 3
 
 
 def draws(policy, q, parameter, seed=7):
@@ -38,15 +39,16 @@ def assert_proportions(actions, probabilities):
 
 
 @settings(max_examples=100, deadline=None)
-@given(hnp.arrays(np.float32, st.integers(1, 5), elements=FEW))
+@given(hnp.arrays(np.float32, st.integers(1, MANY_ACTIONS), elements=FEW))
 def test_greedy_takes_the_first_of_equals_as_numpy(q):
     action = policies.greedy(jnp.asarray(q))
     assert action == np.argmax(q)
     assert action.dtype == np.int32
 
 
-def test_greedy_is_the_same_under_vmap_and_jit():
-    q = np.random.default_rng(1).integers(0, 3, size=(200, 4)).astype(np.float32)
+@pytest.mark.parametrize("actions", [4, MANY_ACTIONS])
+def test_greedy_is_the_same_under_vmap_and_jit(actions):
+    q = np.random.default_rng(1).integers(0, 3, size=(200, actions)).astype(np.float32)
     np.testing.assert_array_equal(jax.jit(jax.vmap(policies.greedy))(q), np.argmax(q, axis=1))
 
 
@@ -77,12 +79,16 @@ def test_whether_to_explore_does_not_depend_on_which_action_would_be_drawn():
     assert np.all(sometimes[~explored] == 0)  # otherwise the greedy one
 
 
-@pytest.mark.parametrize("words", [(0, 0), (0, 2**32 - 1), (0, 2**31)])
-def test_the_extreme_words_draw_an_action_that_exists(monkeypatch, words):
+@pytest.mark.parametrize(
+    "words", [(0, 0), (0, 2**32 - 1), (0, 2**31), (0, 0x55555556), (0, 0x55555555), (0, 123456789)]
+)
+def test_the_action_drawn_is_the_words_share_of_the_actions(monkeypatch, words):
     monkeypatch.setattr(jax.random, "bits", lambda key, shape, dtype: jnp.array(words, dtype).reshape(shape))
-    for actions in (1, 2, 3, 5, 7, 8, 11, 127, 128, 129, 1000):
+    for actions in (1, 2, 3, 5, 7, 8, 11, 127, 128, 129, 1000, 2**16):
         drawn = policies.epsilon_greedy(jax.random.key(0), jnp.zeros(actions), 1.0)
-        assert drawn == int(words[1] / 2**32 * actions)
+        assert drawn == words[1] * actions // 2**32
+    with pytest.raises(ValueError, match=r"^num_actions: 65537 "):
+        policies.epsilon_greedy(jax.random.key(0), jnp.zeros(2**16 + 1), 1.0)
 
 
 @pytest.mark.parametrize("word", [0, 2**32 - 1])

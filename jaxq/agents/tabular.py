@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 
 from jaxq import policies, rules, schedules
@@ -14,6 +16,8 @@ from jaxq.types import Agent, Array, Clock, Key, Metrics, Transition
 #: Tables up to this many cells are written densely: on a CPU a masked pass over a small table is vector code, where
 #: a scatter is a loop.
 DENSE_CELLS = 512
+#: A small table is a multiple of so many cells, the widest vector of float32, so that no pass over it has a remainder.
+WHOLE_CELLS = 16
 
 
 class TabularHypers(NamedTuple):
@@ -29,7 +33,7 @@ class TabularHypers(NamedTuple):
 
 
 class TabularState(NamedTuple):
-    """The table of action values, [S, A]."""
+    """The table of action values, [S', A]: a row per state and, in a small table, unused rows after them."""
 
     table: Array
 
@@ -61,7 +65,11 @@ def tabular(
 
     def init(key: Key, example: Transition) -> TabularState:
         del key, example
-        return TabularState(jnp.full((num_states, num_actions), hypers.initial_value, dtype))
+        rows = num_states
+        if num_states * num_actions <= DENSE_CELLS:
+            whole = WHOLE_CELLS // math.gcd(WHOLE_CELLS, num_actions)
+            rows = -(-num_states // whole) * whole
+        return TabularState(jnp.full((rows, num_actions), hypers.initial_value, dtype))
 
     def act(key: Key, state: TabularState, obs: Array, clock: Clock) -> Array:
         return policies.epsilon_greedy(key, state.table[obs], exploration(clock))
@@ -89,7 +97,7 @@ def tabular(
         return state
 
     def policy(state: TabularState) -> Array:
-        return state.table
+        return state.table[:num_states]
 
     def q_values(policy: Array, obs: Array) -> Array:
         return policy[obs]
@@ -113,4 +121,5 @@ def add_to_table(table: Array, state: Array, action: Array, amount: Array) -> Ar
     cell = jnp.sum(jnp.where(actions == action, jnp.asarray(state, jnp.int32) * table.shape[1] + actions, 0))
     amount = jnp.sum(jnp.where(actions == action, amount, 0))
     flat = table.reshape(-1)
-    return (flat + jnp.where(jnp.arange(flat.size) == cell, amount, 0)).reshape(table.shape)
+    # An array of numbers, not arange: XLA counts an iota in 64 bits, half as many at a time.
+    return (flat + jnp.where(np.arange(flat.size, dtype=np.int32) == cell, amount, 0)).reshape(table.shape)

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from jaxq.trigonometry import sin_cos
+from jaxq.elementary import sin_cos
 from jaxq.types import Array, Env, Key, Step
 
 Integrator = Literal["euler", "semi-implicit"]

@@ -1,11 +1,11 @@
-"""Sine and cosine together, against float64 NumPy."""
+"""Sine with cosine, and the logarithm, against float64 NumPy."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxq.trigonometry import sin_cos
+from jaxq.elementary import log10, sin_cos
 
 
 @pytest.mark.parametrize("limit", [0.2, 0.8, 3.2, 100.0, 50_000.0])
@@ -46,3 +46,22 @@ def test_float64_is_numpys():
         sine, cosine = sin_cos(angles)
         np.testing.assert_allclose(sine, np.sin(angles), atol=1e-15, rtol=0)
         np.testing.assert_allclose(cosine, np.cos(angles), atol=1e-15, rtol=0)
+
+
+@pytest.mark.parametrize(("low", "high"), [(1, 2**24), (0.5, 2), (1 - 1e-3, 1 + 1e-3), (1.2e-38, 3.4e38)])
+def test_the_logarithm_is_within_12e_8_of_float64(low, high):
+    exponents = np.random.default_rng(0).uniform(np.log(low), np.log(high), 100_000)
+    numbers = np.exp(exponents).astype(np.float32)
+    exact = np.log10(numbers.astype(np.float64))
+    error = np.abs(jax.jit(log10)(numbers) - exact)
+    assert np.max(error / np.maximum(1, np.abs(exact))) < 1.2e-7
+
+
+def test_the_logarithm_of_special_numbers():
+    powers = jnp.float32(10) ** jnp.arange(0, 7)
+    np.testing.assert_allclose(log10(powers), np.arange(0, 7), rtol=1.2e-7)
+    assert log10(jnp.float32(1)) == 0
+    assert np.isnan(log10(jnp.array([np.nan, np.inf], jnp.float32))).all()
+    with jax.enable_x64(True):
+        numbers = jnp.geomspace(1e-300, 1e300, 1001)
+        np.testing.assert_array_equal(log10(numbers), jnp.log10(numbers))
