@@ -6,8 +6,8 @@ import os
 import sys
 
 #: XLA compiles a loop whose buffers are smaller than this into one function, with no dispatch between its operations.
-#: Its own limit is 1 KiB; a group of table learners is some 30 KiB. Loops with networks in them are far above it.
-SMALL_LOOP_BYTES = 2**16
+#: Its own limit is 1 KiB; a group of table learners is some 70 KiB. Loops with networks in them are far above it.
+SMALL_LOOP_BYTES = 2**17
 
 FLAGS = (
     # One group of lanes is one core's work: neither a product nor an elementwise operation shared out among threads

@@ -60,7 +60,7 @@ def _(settings: TabularSettings, impl: str) -> Program:
         )
 
     made = experiment(make_env, make_agent, success=success.streak(), rounds=4000, impl=impl)
-    return Program(made, width=16, num_envs=1)
+    return Program(made, width=32, num_envs=1)
 
 
 @hypers.register

@@ -51,12 +51,12 @@ def _columns(settings: Settings) -> Row:
 
 def curve_rows(result: Result) -> list[Row]:
     """One row per lane and segment."""
-    config, seed = result.lane.config, result.lane.seed
     counts = (column.astype(int).tolist() for column in result.curve[:3])
-    means = ([_number(value) for value in column.tolist()] for column in result.curve[3:])
+    names = ("config", "seed", *Curve._fields, "eval_return")
+    key = result.lane.config, result.lane.seed
     rows: list[Row] = [
-        {"config": config, "seed": seed, **dict(zip(Curve._fields, values, strict=True)), "eval_return": None}
-        for values in zip(*counts, *means, strict=True)
+        dict(zip(names, (*key, *values, None), strict=True))
+        for values in zip(*counts, *map(_numbers, result.curve[3:]), strict=True)
     ]
     if rows and result.eval_returns is not None:
         rows[-1]["eval_return"] = _number(result.eval_returns.mean())
@@ -121,6 +121,13 @@ def _setting(config: int, rows: list[Row], varied: Sequence[str]) -> Row:
 def _number(value: Any) -> float | None:
     value = float(value)
     return value if math.isfinite(value) else None
+
+
+def _numbers(column: np.ndarray) -> list[float | None]:
+    values: list[float | None] = column.tolist()
+    for i in np.flatnonzero(~np.isfinite(column)).tolist():
+        values[i] = None
+    return values
 
 
 def _plain(value: Any) -> Any:

@@ -47,7 +47,7 @@ def test_what_ended_before_an_error_is_handed_on(table):
 
 
 def test_ctrl_c_in_the_callers_thread_hands_on_what_ended(table, monkeypatch):
-    class Interrupted(engine.queue.Queue):
+    class Interrupted(engine.queue.SimpleQueue):
         calls = 0
 
         def get(self, *args, **options):
@@ -56,7 +56,7 @@ def test_ctrl_c_in_the_callers_thread_hands_on_what_ended(table, monkeypatch):
                 raise KeyboardInterrupt
             return super().get(*args, **options)
 
-    monkeypatch.setattr(engine.queue, "Queue", Interrupted)
+    monkeypatch.setattr(engine.queue, "SimpleQueue", Interrupted)
     seen, got = [], []
     with pytest.raises(KeyboardInterrupt):
         collect(start(table, lanes_of(table, 4000), 4000, on_progress=seen.append), got)
@@ -94,7 +94,8 @@ def test_no_worker_outlives_a_caller_that_fails(table):
 
 def test_the_tail_begins_when_the_last_lane_has_its_slot(table):
     """With as many lanes as slots nobody ever waits: all of the run is its tail."""
-    for lanes in (15, 16):
+    width = table[0].program.width
+    for lanes in (width - 1, width):
         last = []
         assert len(list(start(table, lanes_of(table, lanes), lanes, workers=1, on_progress=last.append))) == lanes
         assert last[-1].pending_s == last[-1].useful_s == 0

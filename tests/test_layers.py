@@ -33,6 +33,7 @@ LAYERS = [
     ["experiment"],
     ["programs", "compile_cache"],
     ["executables", "tally"],
+    ["workers"],
     ["lanes"],
     ["tables"],
     ["runs", "plots", "report", "progress", "flags"],
