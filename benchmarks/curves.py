@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from matplotlib.ticker import EngFormatter
+
 from jaxq.bench import solved
 from jaxq.plots import COLORS
 
@@ -54,3 +56,5 @@ def _lines(axes: Any, times: Mapping[str, Sequence[float | None]], *, log: bool)
             linewidth=2.0 if ours else 1.4,
         )
     axes.set(xscale="log" if log else "linear", xlim=(start, edge))
+    if not log:
+        axes.xaxis.set_major_formatter(EngFormatter())

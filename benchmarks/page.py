@@ -88,7 +88,9 @@ def ratio_rows(result: Mapping[str, Any]) -> list[list[str]]:
     """The ratios as rows: who, against whom, where, how many times, and what it should be."""
     lines = [["", "against", "at", "times", "bar", "goal"]]
     for row in result["ratios"]:
-        where = "each at its best" if row["case"] is None else f"{report.counted(row['case'])} {result['axis']}"
+        case = row["case"]
+        where = "each at its best" if case is None else report.counted(case)
+        where += f" {result['axis']}" if case and case.isdigit() else ""
         ratio = "no figure" if row["ratio"] is None else f"{row['ratio']:.3g}"
         wanted = [f"{row[name]:g}" if row[name] else "" for name in ("least", "goal")]
         lines.append([row["ours"], row["other"], where, ratio, *wanted])

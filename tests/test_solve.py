@@ -257,6 +257,8 @@ def test_the_table_tells_every_seed_and_who_did_not_run(result):
     assert failed == ["another", "dqn", "", "not run", "", "", ""]
     assert other[1:] == ["article-q", "1", "100 % [20.7, 100]", "70", "0.5", "0.5"]
     assert solved.remarks(result) == ["a peer: its own loss."]
+    twin = {**result["rows"][2], "contender": "its twin"}
+    assert solved.remarks({"rows": [*result["rows"], twin]}) == ["a peer; its twin: its own loss."]
     assert report.notes(result) == []
     assert (
         solved.table({"axis": "lanes", "rows": [failed_row for failed_row in result["rows"] if failed_row["error"]]})
@@ -265,7 +267,16 @@ def test_the_table_tells_every_seed_and_who_did_not_run(result):
 
 
 def test_the_page_and_the_picture(result, tmp_path):
-    text = page.page({"solve": result})
+    ratio = {
+        "ours": "jaxq, seeds together",
+        "other": "a peer",
+        "ratio": 3.0,
+        "case": "dqn",
+        "least": None,
+        "goal": None,
+    }
+    text = page.page({"solve": {**result, "ratios": [ratio]}})
+    assert "| jaxq, seeds together | a peer | dqn | 3 |" in text
     assert "| a peer | dqn | 10 | 80 % [49, 94.3] |" in text
     assert "![solve](benchmarks/solve.png)" in text
     assert "seed after seed for at least 600 s" in text

@@ -82,9 +82,12 @@ def _digits(value: float | None) -> str:
 
 
 def remarks(result: Mapping[str, Any]) -> list[str]:
-    """A line per contender that said how its agent is another than ours in the same case."""
-    told = {row["contender"]: (row.get("notes") or {}).get("differs") for row in result["rows"]}
-    return [f"{name}: {differs}." for name, differs in told.items() if differs]
+    """What contenders said of how their agents are others than ours, a line per difference with all who said it."""
+    told: dict[str, list[str]] = {}
+    for row in result["rows"]:
+        if differs := (row.get("notes") or {}).get("differs"):
+            told.setdefault(differs, []).append(row["contender"])
+    return [f"{'; '.join(names)}: {differs}." for differs, names in told.items()]
 
 
 def curve(times: Sequence[float | None]) -> tuple[list[float], list[float]]:
