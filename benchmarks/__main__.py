@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import beside
-from jaxq.bench import command, contest
+from jaxq.bench import command, contest, report
 from jaxq.bench.suites import Suite
 
 RESULTS = Path(__file__).parent / "results"
@@ -40,7 +40,7 @@ def ratios(result: dict[str, Any]) -> list[dict[str, Any]]:
 
 def sentence(row: dict[str, Any]) -> str:
     """A ratio as a line of text."""
-    where = "each at its best" if row["case"] is None else f"at {int(row['case']):,}"
+    where = "each at its best" if row["case"] is None else f"at {report.counted(row['case'])}"
     if row["ratio"] is None:
         return f"{row['ours']} / {row['other']}, {where}: no figure"
     wanted = [f"bar {row['least']:g}"] if row["least"] else []

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from jaxq.bench import solve
 from jaxq.bench.contest import Contender
 from jaxq.bench.suites import ENVS, GROUPS, LANES, cases
 
@@ -72,6 +74,16 @@ BARS = [
     Bar("dqn", "jaxq, 120-84", "stable-baselines3, 120-84"),
     Bar("dqn", "jaxq, 120-84", "sbx, 120-84"),
     Bar("dqn", "jaxq, 120-84", "rejax, 120-84", least=3),
+    *(
+        Bar("solve", ours, other, case=case)
+        for case, others in (
+            ("article-q", ["the tutorial, NumPy"]),
+            ("article-dqn", ["the tutorial, PyTorch"]),
+            ("dqn", ["stable-baselines3", "sbx", "rejax", "rejax, seeds together"]),
+        )
+        for other in others
+        for ours in ("jaxq, seeds together", "jaxq, one at a time")
+    ),
 ]
 
 
@@ -82,6 +94,12 @@ def python_of(folder: str) -> str:
 
 def _peer(name: str, file: str, which: Sequence[str], *arguments: str, folder: str = ".venv-peers") -> Contender:
     return Contender(name, str(PEERS / file), which, arguments, python_of(folder))
+
+
+def _solver(name: str, agent: str, case: str, *more: str, folder: str = ".venv-peers") -> Contender:
+    """A peer that trains until it is solved, beside our setting of that case."""
+    numbers = json.dumps(solve.planned(case).settings[0].model_dump(mode="json"))
+    return _peer(name, "solve.py", (case,), agent, numbers, *more, folder=folder)
 
 
 #: Contenders with environments of their own: ``make peers``.
@@ -105,6 +123,17 @@ PEERS_OF: dict[str, Sequence[Contender]] = {
                 ("rejax", "rejax_dqn.py", cases(1, 8, 32, 128), ".venv-peers-rejax"),
             )
             for suffix, setting in (("", "article"), (", 64-64", "64-64"), (", 120-84", "cleanrl"))
+        ),
+    ],
+    "solve": [
+        _solver("the tutorial, NumPy", "numpy_table", "article-q"),
+        _solver("the tutorial, PyTorch", "torch_dqn", "article-dqn"),
+        _solver("stable-baselines3", "sb3_dqn", "dqn"),
+        _solver("sbx", "sbx_dqn", "dqn"),
+        _solver("rejax", "rejax_dqn", "dqn", folder=".venv-peers-rejax"),
+        _solver(
+            *("rejax, seeds together", "rejax_dqn", "dqn", str(solve.SEEDS["together"]["dqn"])),
+            folder=".venv-peers-rejax",
         ),
     ],
 }

@@ -12,8 +12,9 @@ from typing import Any
 
 import matplotlib
 
+from benchmarks import curves
 from benchmarks.__main__ import RESULTS
-from jaxq.bench import report
+from jaxq.bench import report, solved
 from jaxq.bench.suites import SUITES
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -35,14 +36,17 @@ def page(results: Mapping[str, Mapping[str, Any]]) -> str:
         parts += [
             f"## {name}: {SUITES[name].summary}",
             f"`python -m benchmarks {name}{' --peers' if _with_peers(result) else ''}`, {result['began'][:10]}; "
-            f"{machine['cpu']}, {machine['cores']} cores, {machine['system']}; "
-            + ("seconds" if result.get("whole") else f"{result['unit']} per second")
-            + f", median of {result['repeats']} turns"
-            + (f" of at least {result['seconds']:g} s." if result["seconds"] else "."),
+            f"{machine['cpu']}, {machine['cores']} cores, {machine['system']}; " + _measure(result),
         ]
-        if _counts(result):
+        trained = solved.table(result)
+        if trained or _counts(result):
             parts.append(f"![{name}](benchmarks/{name}.png)")
-        parts += [table(lines) for lines in (report.grid(result, result["axis"]), report.notes(result)) if lines]
+        first = trained or report.grid(result, result["axis"])
+        parts += [table(lines) for lines in (first, report.notes(result)) if lines]
+        if trained:
+            parts.append(f"{solved.CAPTION[0].upper()}{solved.CAPTION[1:]}.")
+        if told := solved.remarks(result):
+            parts.append("Not as ours:\n\n" + "\n".join(f"- {line}" for line in told))
         if result["ratios"]:
             parts.append(table(ratio_rows(result)))
         failed = report.errors(result)
@@ -50,6 +54,15 @@ def page(results: Mapping[str, Mapping[str, Any]]) -> str:
             parts.append("Not run:\n\n" + "\n".join(f"- {line}" for line in failed))
         parts.append(versions(result))
     return "\n\n".join(parts) + "\n"
+
+
+def _measure(result: Mapping[str, Any]) -> str:
+    """What the figures of a suite are, and of how much work."""
+    seconds = f"{result['seconds']:g} s"
+    if solved.table(result):
+        return f"a peer trains seed after seed for at least {seconds}."
+    shown = "seconds" if result.get("whole") else f"{result['unit']} per second"
+    return f"{shown}, median of {result['repeats']} turns" + (f" of at least {seconds}." if result["seconds"] else ".")
 
 
 def _counts(result: Mapping[str, Any]) -> bool:
@@ -75,7 +88,9 @@ def ratio_rows(result: Mapping[str, Any]) -> list[list[str]]:
     """The ratios as rows: who, against whom, where, how many times, and what it should be."""
     lines = [["", "against", "at", "times", "bar", "goal"]]
     for row in result["ratios"]:
-        where = "each at its best" if row["case"] is None else f"{int(row['case']):,} {result['axis']}"
+        case = row["case"]
+        where = "each at its best" if case is None else report.counted(case)
+        where += f" {result['axis']}" if case and case.isdigit() else ""
         ratio = "no figure" if row["ratio"] is None else f"{row['ratio']:.3g}"
         wanted = [f"{row[name]:g}" if row[name] else "" for name in ("least", "goal")]
         lines.append([row["ours"], row["other"], where, ratio, *wanted])
@@ -121,7 +136,9 @@ def main() -> None:
     results = {name: results[name] for name in SUITES if name in results}
     (DOCS / "benchmarks").mkdir(exist_ok=True)
     for name, result in results.items():
-        if _counts(result):
+        if solved.table(result):
+            curves.picture(result, DOCS / "benchmarks" / f"{name}.png")
+        elif _counts(result):
             picture(result, DOCS / "benchmarks" / f"{name}.png")
     (DOCS / "benchmarks.md").write_text(page(results))
     print(DOCS / "benchmarks.md")

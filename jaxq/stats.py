@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,19 +45,8 @@ def interquartile_mean(values: Sequence[float]) -> Estimate:
         return Estimate(None, None, None)
     if array.size == 1:
         return Estimate(float(array[0]), None, None)
-    stats = _scipy_stats()
-    value = float(stats.trim_mean(array, 0.25))
-    interval = stats.bootstrap(
-        (array,),
-        _iqm,
-        n_resamples=RESAMPLES,
-        confidence_level=CONFIDENCE,
-        method="percentile",
-        vectorized=True,
-        rng=np.random.default_rng(0),  # the same data give the same interval
-        batch=max(1, 4_000_000 // array.size),
-    ).confidence_interval
-    return Estimate(value, float(interval.low), float(interval.high))
+    value = float(_scipy_stats().trim_mean(array, 0.25))
+    return Estimate(value, *_bootstrap(array, _iqm))
 
 
 def median_time(times: Sequence[float | None]) -> float | None:
@@ -72,6 +61,48 @@ def median_time(times: Sequence[float | None]) -> float | None:
         return None
     middle = float(np.median([np.inf if time is None else time for time in times]))
     return middle if np.isfinite(middle) else None
+
+
+def time_to_success(times: Sequence[float | None]) -> Estimate:
+    """``median_time`` with the interval between two of the sorted times, which holds for every distribution.
+
+    How many of n times are below the true median is binomial (n, 1/2), so the ends are the k-th time from either side
+    for the largest k that leaves at most 2.5 % outside: scipy's ``quantile_test``. An end is None where it lies beyond
+    what was watched, and both are where there are too few times. Conover, *Practical Nonparametric Statistics*, 1999.
+    """
+    ordered = [np.inf if time is None else time for time in times]
+    value = median_time(times)
+    if not times:
+        return Estimate(None, None, None)
+    interval = _scipy_stats().quantile_test(ordered, p=0.5).confidence_interval(CONFIDENCE)
+    low, high = (float(end) if np.isfinite(end) else None for end in interval)
+    return Estimate(value, low, high)
+
+
+def mean(values: Sequence[float]) -> Estimate:
+    """Mean with a percentile bootstrap interval over seeds. No value without a seed, no interval with one."""
+    if len(values) < 2:
+        return Estimate(float(values[0]) if values else None, None, None)
+    return Estimate(float(np.mean(values)), *_bootstrap(np.asarray(values, float), np.mean))
+
+
+def _bootstrap(array: np.ndarray, statistic: Callable[..., Any]) -> tuple[float, float]:
+    """Ends of the percentile bootstrap interval of ``statistic(sample, axis=...)``."""
+    interval = (
+        _scipy_stats()
+        .bootstrap(
+            (array,),
+            statistic,
+            n_resamples=RESAMPLES,
+            confidence_level=CONFIDENCE,
+            method="percentile",
+            vectorized=True,
+            rng=np.random.default_rng(0),  # the same data give the same interval
+            batch=max(1, 4_000_000 // array.size),
+        )
+        .confidence_interval
+    )
+    return float(interval.low), float(interval.high)
 
 
 def _iqm(sample: np.ndarray, axis: int) -> np.ndarray:

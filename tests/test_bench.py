@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxq import prng
-from jaxq.bench import contest, dqn, env, report, suites, sweep, tabular
+from jaxq.bench import command, contest, dqn, env, report, suites, sweep, tabular
 from jaxq.bench.contest import Contender
 from jaxq.cli import main
 from jaxq.envs import make
@@ -52,9 +52,9 @@ def test_contenders_take_turns_and_cases_are_prepared_once(module):
     turns = []
     contenders = [Contender("one", module, ("a", "b")), Contender("ten", module, ("b",), ("10",))]
     result = contest.contest(contenders, repeats=3, seconds=0.01, on_turn=lambda *turn: turns.append(turn))
-    assert [what for _, _, what in turns] == ["one, a", "one, b", "ten, b"] * 3
-    assert [done for done, _, _ in turns] == list(range(9))
-    assert {total for _, total, _ in turns} == {9}
+    assert [what for _, _, what, _ in turns] == ["one, a", "one, b", "ten, b"] * 3
+    assert [done for done, *_ in turns] == list(range(9))
+    assert {total for _, total, *_ in turns} == {9}
     rows = rows_of(result)
     for row in rows.values():
         assert len(row["rates"]) == 3
@@ -160,6 +160,31 @@ def test_a_module_may_do_its_own_warm_up_and_tell_more(tmp_path):
     assert rows_of(result)["one", "a"]["notes"] == {"runs": 2}
     assert report.notes(result) == [["last run", "runs"], ["a, one", "2"]]
     assert report.notes({"rows": []}) == []
+
+
+def test_a_contender_may_have_a_time_of_its_own(tmp_path):
+    path = tmp_path / "contender.py"
+    path.write_text(
+        "import time\nWARM_UP = False\nbouts = []\ndef prepare(case):\n    def bout():\n        bouts.append(case)\n"
+        "        time.sleep(0.01)\n        return 1.0\n    return bout\ndef notes(case):\n"
+        "    return {'bouts': len(bouts)}\n"
+    )
+    turns = []
+    contenders = [Contender("fixed", str(path), ("a",), seconds=0), Contender("timed", str(path), ("a",))]
+    result = contest.contest(contenders, repeats=1, seconds=0.1, on_turn=lambda *turn: turns.append(turn))
+    assert rows_of(result)["fixed", "a"]["notes"] == {"bouts": 1}
+    assert rows_of(result)["timed", "a"]["notes"]["bouts"] > 1
+    assert [least for *_, least in turns] == [0, 0.1]
+
+
+def test_the_bar_shows_how_long_a_turn_takes():
+    bar = command._Bar("solve", quiet=True)
+    column = command._Turn()
+    assert column.render(bar.bar.tasks[0]).plain == ""
+    bar.turn(0, 2, "a peer, dqn", 600.0)
+    assert column.render(bar.bar.tasks[0]).plain == "0 of at least 600 s"
+    bar.turn(1, 2, "ours, dqn", 0)
+    assert column.render(bar.bar.tasks[0]).plain == "0 s"
 
 
 def test_whole_runs_are_shown_in_seconds():

@@ -46,3 +46,24 @@ def test_the_median_time_counts_those_that_never_succeeded_as_later_than_all():
     assert stats.median_time([1, 2, None, None, None]) is None
     assert stats.median_time([1, 2, None, None]) is None
     assert stats.median_time([]) is None
+
+
+def test_the_interval_of_the_median_time_by_hand():
+    # Of 10 times 0 or 1 are below the median with probability 11/1024, up to 2 with 56/1024: the 2nd and the 9th.
+    times = [100, 20, 30, 40, 50, 60, 70, 80, 90, 10]
+    assert stats.time_to_success(times) == (55, 20, 90)
+    assert stats.time_to_success([None if time >= 90 else time for time in times]) == (55, 20, None)
+    assert stats.time_to_success([None if time >= 50 else time for time in times]) == (None, 20, None)
+    assert stats.time_to_success([1, 2, 3, 4, 5]) == (3, None, None)  # even the 1st and the 5th leave out 1/32 each
+    assert stats.time_to_success([1, 2, 3, 4, 5, 6]) == (3.5, 1, 6)
+    assert stats.time_to_success([]) == (None, None, None)
+
+
+def test_the_mean_and_its_interval_move_with_the_values():
+    values = np.array([3.0, 1.0, 4.0, 1.0, 5.0])
+    value, low, high = stats.mean(values.tolist())
+    assert value == np.mean(values)
+    assert min(values) <= low < value < high <= max(values)
+    np.testing.assert_allclose(stats.mean((10 * values + 7).tolist()), [10 * end + 7 for end in (value, low, high)])
+    assert stats.mean([2.0]) == (2.0, None, None)
+    assert stats.mean([]) == (None, None, None)

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 import runpy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 PACKAGES = ("torch", "gymnasium", "numpy")
 
@@ -32,3 +33,18 @@ def prepare(case: str, threads: str = "1") -> Callable[[], float]:
         return float(updates)
 
     return bout
+
+
+def solver(numbers: Mapping[str, Any], is_solved: Callable) -> Callable[[int], list]:
+    """Trainings until they are solved (see ``solve``), by the loop's own rule and numbers, on one thread."""
+    import torch
+
+    del is_solved
+    torch.set_num_threads(1)
+    train = runpy.run_path(str(LOOP))["train"]
+
+    def one(seed: int) -> list:
+        solved, lengths, _ = train(seed, max_episodes=numbers["max_episodes"])
+        return [(solved, sum(lengths))]
+
+    return one

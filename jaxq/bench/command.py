@@ -6,14 +6,24 @@ import argparse
 import json
 import math
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
 
-from jaxq.bench import report
+from jaxq.bench import report, solved
 from jaxq.bench.contest import Contender, contest
 from jaxq.bench.suites import SUITES, Suite
 from jaxq.suggest import nearest
@@ -24,7 +34,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("suites", nargs="*", metavar="SUITE", help=f"{', '.join(SUITES)}; all when none is named")
     parser.add_argument("--repeats", type=_count, help="turns of each contender (a suite has its own default)")
     parser.add_argument("--seconds", type=_seconds, help="least time of a turn (a suite has its own default)")
-    parser.add_argument("--cases", nargs="+", metavar="N", help="only these numbers of environments or lanes")
+    parser.add_argument(
+        "--cases", nargs="+", metavar="CASE", help="only these: numbers of environments or lanes, settings"
+    )
     parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -77,11 +89,14 @@ def show(result: dict[str, Any], suite: Suite) -> None:
     """A suite's table on stdout, and what could not run on stderr."""
     machine = result["machine"]
     print(f"{suite.name}: {suite.summary}")
-    shown = "seconds" if suite.whole else f"{suite.unit}/s"
-    print(f"{shown}, median of {result['repeats']}; {machine['cpu']}, {machine['cores']} cores")
-    print(report.text(report.grid(result, suite.axis)), end="\n\n")
+    trained = solved.table(result)
+    shown = f"{'seconds' if suite.whole else f'{suite.unit}/s'}, median of {result['repeats']}"
+    print(f"{solved.CAPTION if trained else shown}; {machine['cpu']}, {machine['cores']} cores")
+    print(report.text(trained or report.grid(result, suite.axis)), end="\n\n")
     if told := report.notes(result):
         print(report.text(told), end="\n\n")
+    for line in solved.remarks(result):
+        print(line)
     sys.stdout.flush()
     for line in report.errors(result):
         print(f"not run: {line}", file=sys.stderr)
@@ -107,14 +122,32 @@ def _seconds(text: str) -> float:
     return value
 
 
+class _Turn(ProgressColumn):
+    """How long the turn under way has lasted, and how long it will at least."""
+
+    def render(self, task: Task) -> Text:
+        began, least = task.fields["began"], task.fields["least"]
+        if began is None:
+            return Text("")
+        of = f" of at least {least:.0f}" if least else ""
+        return Text(f"{time.monotonic() - began:.0f}{of} s")
+
+
 class _Bar:
-    """Turns done and time left, on stderr where that is a terminal; elsewhere nothing until the table."""
+    """Turns done, the turn under way and time left, on stderr where that is a terminal; elsewhere nothing until the
+    table."""
 
     def __init__(self, name: str, quiet: bool):
         console = Console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        self.bar = Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True)
-        self.task = self.bar.add_task(name, total=None)
+        columns = (TextColumn("{task.description}"), BarColumn(), _Turn(), TimeElapsedColumn(), TimeRemainingColumn())
+        self.bar = Progress(
+            *columns,
+            console=console,
+            disable=quiet or not console.is_terminal,
+            transient=True,
+            speed_estimate_period=math.inf,  # a turn may last for minutes
+        )
+        self.task = self.bar.add_task(name, total=None, began=None, least=0.0)
         self.name = name
 
     def __enter__(self) -> _Bar:
@@ -124,5 +157,12 @@ class _Bar:
     def __exit__(self, *error: object) -> None:
         self.bar.stop()
 
-    def turn(self, done: int, total: int, what: str) -> None:
-        self.bar.update(self.task, completed=done, total=total, description=f"{self.name}: {what}")
+    def turn(self, done: int, total: int, what: str, least: float) -> None:
+        self.bar.update(
+            self.task,
+            completed=done,
+            total=total,
+            description=f"{self.name}: {what}",
+            began=time.monotonic(),
+            least=least,
+        )

@@ -29,7 +29,8 @@ class Contender:
     """Who runs: a name for the tables, a module (see ``worker``) with its arguments, the cases that it can do, and the
     Python that it runs in.
 
-    ``environment`` is added to the process's variables; a variable set to None is removed.
+    ``environment`` is added to the process's variables; a variable set to None is removed. ``seconds`` is the least
+    time of its turns where that is not the contest's: 0 for a fixed amount of work.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Contender:
     arguments: Sequence[str] = ()
     python: str = sys.executable
     environment: Mapping[str, str | None] = field(default_factory=dict)
+    seconds: float | None = None
 
 
 @dataclass
@@ -68,12 +70,12 @@ def contest(
     *,
     repeats: int,
     seconds: float,
-    on_turn: Callable[[int, int, str], None] | None = None,
+    on_turn: Callable[[int, int, str, float], None] | None = None,
 ) -> dict[str, Any]:
     """Runs all cases of all contenders ``repeats`` times in turns; what it returns is ready for JSON.
 
     A contender that cannot start or fails in a case gets rows with an ``error`` and is not asked again for that case.
-    ``on_turn(done, total, what)`` is called before each turn. Raises ValueError for a count below 1.
+    ``on_turn(done, total, what, least_seconds)`` is called before each turn. Raises ValueError for a count below 1.
     """
     if repeats < 1:
         raise ValueError(f"repeats: {repeats} must be at least 1")
@@ -96,9 +98,10 @@ def contest(
             row = rows[contender.name, case]
             if row.error:
                 continue
+            least = seconds if contender.seconds is None else contender.seconds
             if on_turn:
-                on_turn(done, len(turns), f"{contender.name}, {case}")
-            answer = running[contender.name]({"case": case, "seconds": seconds})
+                on_turn(done, len(turns), f"{contender.name}, {case}", least)
+            answer = running[contender.name]({"case": case, "seconds": least})
             if "error" in answer:
                 row.error = answer["error"]
             else:

@@ -27,8 +27,13 @@ def grid(result: Mapping[str, Any], axis: str) -> list[list[str]]:
     lines = [[axis, *names]]
     for case in order:
         cells = (_cell(found.get((name, case)), result.get("whole", False)) for name in names)
-        lines.append([f"{int(case):,}" if case.isdigit() else case, *cells])
+        lines.append([counted(case), *cells])
     return lines
+
+
+def counted(case: str) -> str:
+    """A case as text: a number in groups of three digits, a name as it is."""
+    return f"{int(case):,}" if case.isdigit() else case
 
 
 def _cell(row: Mapping[str, Any] | None, whole: bool) -> str:
@@ -43,8 +48,8 @@ def _cell(row: Mapping[str, Any] | None, whole: bool) -> str:
 
 
 def notes(result: Mapping[str, Any]) -> list[list[str]]:
-    """Rows of a table of what contenders told of their last bout; empty when none did."""
-    told = [row for row in result["rows"] if row.get("notes")]
+    """Rows of a table of what contenders told of their last bout; empty when none did. Trainings have their own."""
+    told = [row for row in result["rows"] if row.get("notes") and "trainings" not in row["notes"]]
     names = list(dict.fromkeys(name for row in told for name in row["notes"]))
     lines = [["last run", *names]]
     for row in told:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from jaxq.bench import solve
 from jaxq.bench.contest import Contender
 
 
@@ -35,6 +36,8 @@ LANES = cases(1, 16, 64, 256, 1024, 4096, 16_384)
 GROUPS = cases(1, 8, 32, 128, 512, 1024)
 
 COMMANDS = ("article-q, 1 seed", "article-q, 1024 seeds", "dqn, 64 settings, 16 seeds")
+
+SOLVED = tuple(solve.CASES)
 
 SUITES = {
     suite.name: suite
@@ -83,6 +86,18 @@ SUITES = {
             repeats=3,
             seconds=0,
             whole=True,
+        ),
+        Suite(
+            "solve",
+            "trainings until they are solved, or reach their limit",
+            "seeds",
+            "setting",
+            [
+                Contender("jaxq, seeds together", "jaxq.bench.solve", SOLVED, ("together",), seconds=0),
+                Contender("jaxq, one at a time", "jaxq.bench.solve", SOLVED, ("alone",), seconds=0),
+            ],
+            repeats=1,
+            seconds=600,
         ),
     )
 }

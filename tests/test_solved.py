@@ -1,0 +1,92 @@
+"""What trainings until they were solved tell: the table, the page and the picture."""
+
+import pytest
+
+from benchmarks import curves, page
+from jaxq.bench import report, solved
+
+
+def row(contender, case, together, seconds, env_steps, won, differs=None):
+    told = {"together": together, "seconds": seconds, "env_steps": env_steps, "solved": won}
+    return {
+        "contender": contender,
+        "case": case,
+        "error": None,
+        "rates": [1.0],
+        "median": 1.0,
+        "spread": 0.0,
+        "notes": {"trainings": told, "differs": differs},
+    }
+
+
+@pytest.fixture
+def result():
+    steps = [1000 * (i + 1) for i in range(10)]
+    peers = row("a peer", "dqn", 1, [float(i + 1) for i in range(10)], steps, [True] * 8 + [False] * 2, "its own loss")
+    ours = row("jaxq, seeds together", "dqn", 2, [3.0, 6.0], [1000, 2000, 3000, 1000], [True, True, False, True])
+    failed = {"contender": "another", "case": "dqn", "error": "no such library", "median": None, "notes": {}}
+    other = row("jaxq, seeds together", "article-q", 1, [0.5], [70], [True])
+    return {
+        "suite": "solve",
+        "unit": "seeds",
+        "axis": "setting",
+        "began": "2026-01-02T03:04:05Z",
+        "seconds": 600,
+        "machine": {"cpu": "a processor", "cores": 2, "system": "Linux"},
+        "repeats": 1,
+        "ratios": [],
+        "versions": {"a peer": {"python": "3.11.0"}},
+        "rows": [ours, other, peers, failed],
+    }
+
+
+def test_seeds_that_ran_together_share_the_seconds_by_their_steps(result):
+    found = solved.trainings(result["rows"][0])
+    assert found.seconds == [1.0, 2.0, 4.5, 1.5]
+    assert found.solved_at_s == [1.0, 2.0, None, 1.5]
+    assert found.solved_at_step == [1000, 2000, None, 1000]
+    assert solved.trainings({"notes": {}}) is None
+
+
+def test_the_table_tells_every_seed_and_who_did_not_run(result):
+    head, ours, peers, failed, other = solved.table(result)
+    assert head[:4] == ["contender", "setting", "seeds", "solved"]
+    assert ours[:5] == ["jaxq, seeds together", "dqn", "4", "75 % [30.1, 95.4]", "1,500"]
+    assert peers[2:6] == ["10", "80 % [49, 94.3]", "5,500 [2,000, -]", "5.5 [2, -]"]
+    assert peers[6].startswith("5.5 [")
+    assert failed == ["another", "dqn", "", "not run", "", "", ""]
+    assert other[1:] == ["article-q", "1", "100 % [20.7, 100]", "70", "0.5", "0.5"]
+    assert solved.remarks(result) == ["a peer: its own loss."]
+    twin = {**result["rows"][2], "contender": "its twin"}
+    assert solved.remarks({"rows": [*result["rows"], twin]}) == ["a peer; its twin: its own loss."]
+    assert report.notes(result) == []
+    assert (
+        solved.table({"axis": "lanes", "rows": [failed_row for failed_row in result["rows"] if failed_row["error"]]})
+        == []
+    )
+
+
+def test_the_page_and_the_picture(result, tmp_path):
+    ratio = {
+        "ours": "jaxq, seeds together",
+        "other": "a peer",
+        "ratio": 3.0,
+        "case": "dqn",
+        "least": None,
+        "goal": None,
+    }
+    text = page.page({"solve": {**result, "ratios": [ratio]}})
+    assert "| jaxq, seeds together | a peer | dqn | 3 |" in text
+    assert "| a peer | dqn | 10 | 80 % [49, 94.3] |" in text
+    assert "![solve](benchmarks/solve.png)" in text
+    assert "seed after seed for at least 600 s" in text
+    assert "- a peer: its own loss." in text
+    assert "- another: no such library" in text
+    curves.picture(result, tmp_path / "solve.png")
+    assert (tmp_path / "solve.png").stat().st_size > 5000
+
+
+def test_a_curve_ends_at_the_share_of_all_seeds(result):
+    at, share = solved.curve([5, None, 3, None])
+    assert (at, share) == ([3, 5], [0.25, 0.5])
+    assert solved.curve([None]) == ([], [])
