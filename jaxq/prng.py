@@ -157,7 +157,7 @@ def _cross(x: Array, y: Array, z: Array, w: Array) -> Words:
 
 def _hash(k0: Array, k1: Array, data: Word, operation: np.uint32) -> Words:
     """Two passes. After one, high input bits have not reached the low output bits, and single bits follow a pattern
-    over the consecutive counters of one draw: a draw costs little more with two, so there is no exception to two."""
+    over the consecutive counters of one draw."""
     return pcg4d(*pcg4d(k0, k1, data, operation))
 
 
@@ -168,8 +168,12 @@ def _pcg4d_seed(seed: Array) -> Array:
 
 
 def _pcg4d_fold_in(key: Array, data: Array) -> Array:
-    """Key of a key and a number. Shapes: key [2], data [] uint32 -> [2]."""
-    return jnp.stack(_hash(key[0], key[1], data.astype(jnp.uint32), _FOLD_IN)[:2])
+    """Key of a key and a number. Shapes: key [2], data [] uint32 -> [2].
+
+    One pass: a key need only be another one for every number, in any nesting. Whatever is drawn or split from it goes
+    through two passes more.
+    """
+    return jnp.stack(pcg4d(key[0], key[1], data.astype(jnp.uint32), _FOLD_IN)[:2])
 
 
 def _pcg4d_split(key: Array, shape: Shape) -> Array:

@@ -17,7 +17,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 #: Updates of a lane, so that the lanes of a bout together make ``BOUT``, as far as that allows.
-LEAST, MOST, BOUT = 256, 4096, 2**14
+LEAST, MOST, BOUT = 512, 4096, 2**14
 
 
 def prepare(case: str, setting: str = "article", family: str = "pcg4d") -> Callable[[], float]:
