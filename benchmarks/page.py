@@ -32,11 +32,10 @@ def page(results: Mapping[str, Mapping[str, Any]]) -> str:
     """The text of the page."""
     parts = [HEAD]
     for name, result in results.items():
-        machine = result["machine"]
         parts += [
             f"## {name}: {SUITES[name].summary}",
             f"`python -m benchmarks {name}{' --peers' if _with_peers(result) else ''}`, {result['began'][:10]}; "
-            f"{machine['cpu']}, {machine['cores']} cores, {machine['system']}; " + _measure(result),
+            f"{report.machine(result)}; " + _measure(result),
         ]
         trained = solved.table(result)
         if trained or _counts(result):

@@ -20,10 +20,15 @@ import numpy as np
 
 from jaxq import prng
 from jaxq.executables import Executables
-from jaxq.machine import cores as cores
+from jaxq.machine import cores
 from jaxq.tally import Episodes, Lane, Result
 from jaxq.workers import Ended, Shared, Worker
 from jaxq.workers import Progress as Progress
+
+
+def default_workers() -> int:
+    """A worker per core; one alone for an accelerator."""
+    return cores() if jax.default_backend() == "cpu" else 1
 
 
 def run(
@@ -48,8 +53,7 @@ def run(
     stop = stop or threading.Event()
     shared = Shared(iter(lanes), Progress(total), stop, watched=on_episodes is not None)
     root = np.asarray(jax.random.key_data(prng.key(root_seed, impl)))
-    count = workers or (cores() if jax.default_backend() == "cpu" else 1)
-    count = max(1, min(count, -(-total // built.program.width)))
+    count = max(1, min(workers or default_workers(), -(-total // built.program.width)))
     threads = [threading.Thread(target=Worker(built, shared, root, keep_max_q).run, daemon=True) for _ in range(count)]
     failure: BaseException | None = None
     try:

@@ -24,13 +24,23 @@ from jaxq.types import Agent, Env, Experiment, Hypers
 class Program:
     """An Experiment with what the engine must know of it: the lanes of a group, and the environments of a lane.
 
-    ``width`` is the number of lanes that are vmapped together: on a CPU few enough to stay in cache, the same for one
-    lane and for a hundred thousand.
+    ``width`` is the number of lanes that are vmapped together: on a CPU few enough to stay in cache, on an accelerator
+    enough to fill it, the same for one lane and for a hundred thousand.
     """
 
     experiment: Experiment
     width: int
     num_envs: int
+
+
+#: Lanes of a group, of table learners and of networks: on a CPU a core has a group, an accelerator has one in all.
+TABLES, NETWORKS = {"cpu": 32, "accelerator": 8192}, {"cpu": 4, "accelerator": 256}
+
+
+def _width(widths: dict[str, int]) -> int:
+    import jax
+
+    return widths["cpu" if jax.default_backend() == "cpu" else "accelerator"]
 
 
 @singledispatch
@@ -60,7 +70,7 @@ def _(settings: TabularSettings, impl: str) -> Program:
         )
 
     made = experiment(make_env, make_agent, success=success.streak(), rounds=4000, impl=impl)
-    return Program(made, width=32, num_envs=1)
+    return Program(made, width=_width(TABLES), num_envs=1)
 
 
 @hypers.register
@@ -106,7 +116,7 @@ def _(settings: DQNSettings, impl: str) -> Program:
         warm_up_steps=settings.learning_starts,
         impl=impl,
     )
-    return Program(made, width=4, num_envs=settings.num_envs)
+    return Program(made, width=_width(NETWORKS), num_envs=settings.num_envs)
 
 
 @hypers.register

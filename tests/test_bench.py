@@ -9,12 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxq import prng
+from jaxq import lanes, machine, prng, programs
 from jaxq.bench import command, contest, dqn, env, report, suites, sweep, tabular
 from jaxq.bench.contest import Contender
 from jaxq.cli import main
 from jaxq.envs import make
 from jaxq.envs.auto_reset import auto_reset
+from jaxq.plans import plan
 
 CONTENDER = """
 import time
@@ -46,6 +47,40 @@ def module(tmp_path):
 
 def rows_of(result):
     return {(row["contender"], row["case"]): row for row in result["rows"]}
+
+
+def test_an_accelerator_is_told(tmp_path):
+    """A contender whose JAX says that it runs on one; the others, and those without JAX, run on the processor."""
+    plain = tmp_path / "plain.py"
+    plain.write_text("def prepare(case):\n    return lambda: 1.0\n")
+    for name, kind in (("gpu", "NVIDIA H200"), ("cpu", "cpu")):
+        fake = f"""
+import sys, types
+jax = sys.modules["jax"] = types.ModuleType("jax")
+jax.devices = lambda: [types.SimpleNamespace(platform={name!r}, device_kind={kind!r})]
+"""
+        (tmp_path / f"{name}.py").write_text(fake + plain.read_text())
+    contenders = [Contender(name, str(tmp_path / f"{name}.py"), ("1",)) for name in ("plain", "cpu", "gpu")]
+    result = contest.contest(contenders, repeats=1, seconds=0)
+    assert {name: row["device"] for (name, _), row in rows_of(result).items()} == {
+        "plain": None,
+        "cpu": None,
+        "gpu": "NVIDIA H200",
+    }
+    assert report.machine(result).endswith("; gpu on NVIDIA H200")
+    assert report.machine(contest.contest(contenders[:2], repeats=1, seconds=0)).endswith(result["machine"]["system"])
+
+
+def test_an_accelerator_gets_groups_of_its_own_width(monkeypatch):
+    settings = [plan(name).settings[0] for name in ("article-q", "article-dqn")]
+    on_cpu = [programs.program(one, "pcg4d").width for one in settings]
+    assert lanes.default_workers() == machine.cores()
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert [programs.program(one, "pcg4d").width > 16 * width for one, width in zip(settings, on_cpu, strict=True)] == [
+        True,
+        True,
+    ]
+    assert lanes.default_workers() == 1
 
 
 def test_contenders_take_turns_and_cases_are_prepared_once(module):
@@ -143,7 +178,7 @@ def test_the_tabular_contender_makes_every_update_it_counts(monkeypatch):
     assert tabular.prepare("20")() == 20 * 2000
 
 
-@pytest.mark.parametrize(("setting", "each"), [("64-64", 512), ("cleanrl", 256)])
+@pytest.mark.parametrize(("setting", "each"), [("64-64", 512), ("cleanrl", 512)])
 def test_the_dqn_contender_makes_every_update_it_counts(monkeypatch, setting, each):
     monkeypatch.setattr(dqn, "MOST", each)
     monkeypatch.setattr(dqn, "BOUT", 2**10)

@@ -87,11 +87,10 @@ def run(
 
 def show(result: dict[str, Any], suite: Suite) -> None:
     """A suite's table on stdout, and what could not run on stderr."""
-    machine = result["machine"]
     print(f"{suite.name}: {suite.summary}")
     trained = solved.table(result)
     shown = f"{'seconds' if suite.whole else f'{suite.unit}/s'}, median of {result['repeats']}"
-    print(f"{solved.CAPTION if trained else shown}; {machine['cpu']}, {machine['cores']} cores")
+    print(f"{solved.CAPTION if trained else shown}; {report.machine(result)}")
     print(report.text(trained or report.grid(result, suite.axis)), end="\n\n")
     if told := report.notes(result):
         print(report.text(told), end="\n\n")

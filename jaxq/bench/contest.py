@@ -50,6 +50,7 @@ class Row:
     case: str
     rates: list[float] = field(default_factory=list)
     prepare_s: float | None = None
+    device: str | None = None  # the accelerator, None for a CPU
     error: str | None = None
     notes: dict[str, Any] = field(default_factory=dict)
 
@@ -106,7 +107,7 @@ def contest(
                 row.error = answer["error"]
             else:
                 row.rates.append(answer["rate"])
-                row.prepare_s, row.notes = answer["prepare_s"], answer["notes"]
+                row.prepare_s, row.notes, row.device = answer["prepare_s"], answer["notes"], answer["device"]
     return {
         "machine": {"cpu": machine.processor(), "cores": machine.cores(), "system": platform.system()},
         "began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(began)),

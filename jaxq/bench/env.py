@@ -38,9 +38,9 @@ def prepare(case: str, family: str = "pcg4d") -> Callable[[], float]:
     from jaxq.envs.auto_reset import auto_reset
 
     count = int(case)
-    width = min(count, CHUNK)
+    width = min(count, CHUNK) if jax.default_backend() == "cpu" else count
     chunks = -(-count // width)
-    workers = min(lanes.cores(), chunks)
+    workers = min(lanes.default_workers(), chunks)
     shares = [len(range(i, chunks, workers)) for i in range(workers)]
     env = auto_reset(make("CartPole-v1"))
 

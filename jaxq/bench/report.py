@@ -75,3 +75,12 @@ def text(lines: list[list[str]]) -> str:
         ]
         shown.append("  ".join(cells).rstrip())
     return "\n".join(shown)
+
+
+def machine(result: Mapping[str, Any]) -> str:
+    """What it was measured on: the processor, its cores and, where a contender ran on one, the accelerator."""
+    here = result["machine"]
+    found = {(row["device"], row["contender"]) for row in result["rows"] if row.get("device")}
+    devices = sorted({device for device, _ in found})
+    on = [f"{', '.join(sorted(name for at, name in found if at == device))} on {device}" for device in devices]
+    return "; ".join([f"{here['cpu']}, {here['cores']} cores, {here['system']}", *on])

@@ -11,9 +11,10 @@ not installed for. MODULE is a dotted name or the path of a file, and offers
     ``WARM_UP`` (optional): False when the first bout is not to be left out;
     ``notes(case) -> dict`` (optional): more to be told of the last bout.
 
-Each line of stdin is a JSON request {"case", "seconds"}; each answer a line: {"rate", "bouts", "prepare_s", "notes"},
-units per second over whole bouts that fill at least ``seconds``, or {"error"}. The first bout after ``prepare``
-compiles and warms up; it counts as preparation. The first line of all tells {"versions"}, or {"error"} and the end.
+Each line of stdin is a JSON request {"case", "seconds"}; each answer a line: {"rate", "bouts", "prepare_s", "notes",
+"device"}, units per second over whole bouts that fill at least ``seconds``, or {"error"}. The first bout after
+``prepare`` compiles and warms up; it counts as preparation. The first line of all tells {"versions"}, or {"error"} and
+the end.
 """
 
 from __future__ import annotations
@@ -79,7 +80,16 @@ def measure(
     finally:
         gc.enable()
     told = module.notes(case) if hasattr(module, "notes") else {}
-    return {"rate": units / elapsed, "bouts": bouts, "prepare_s": prepare_s, "notes": told}
+    return {"rate": units / elapsed, "bouts": bouts, "prepare_s": prepare_s, "notes": told, "device": accelerator()}
+
+
+def accelerator() -> str | None:
+    """The accelerator that this contender's JAX runs on; None on a CPU, or where it has no JAX."""
+    jax = sys.modules.get("jax")
+    if jax is None or not hasattr(jax, "devices"):
+        return None
+    device = jax.devices()[0]
+    return None if device.platform == "cpu" else str(device.device_kind)
 
 
 def load(name: str) -> Any:
