@@ -72,9 +72,10 @@ class Done(NamedTuple):
 
 
 class _Record(NamedTuple):
-    """A segment of the group: a column per finished episode, and one per lane."""
+    """A segment of the group: a column per finished episode, slot after slot, and one per lane."""
 
-    ended: np.ndarray  # [5, E]: slot, environment, steps before the episode's last, return, max_q at its last step
+    ended: np.ndarray  # [4, E]: environment, steps before the episode's last, return, max_q at its last step
+    starts: np.ndarray  # [L + 1] each slot's first column of these
     valid: np.ndarray  # [L] rounds that count
     curve: np.ndarray  # [7, L], the fields of Curve
     max_q: np.ndarray | None  # [U, L], where it is kept
@@ -118,7 +119,8 @@ class Tally:
         _, width, per_round, num_envs = over.shape
         valid = (env_steps - self.env_steps) // (per_round * num_envs)
         u, lane, t, n = np.unravel_index(np.flatnonzero(over), over.shape)
-        inside = u < valid[lane]
+        inside = np.flatnonzero(u < valid[lane])
+        inside = inside[np.argsort(lane[inside], kind="stable")]  # in the order of time within a slot
         u, lane, t, n = u[inside], lane[inside], t[inside], n[inside]
         returns = total[u, lane, t, n]
         ended = np.bincount(lane, minlength=width)
@@ -129,7 +131,8 @@ class Tally:
         tick = self.env_steps[lane] // num_envs + u * per_round + t
         self.records.append(
             _Record(
-                ended=np.array([lane, n, tick, returns, max_q[u, lane]], float),
+                ended=np.array([n, tick, returns, max_q[u, lane]], float),
+                starts=np.concatenate([[0], np.cumsum(ended)]),
                 valid=valid,
                 curve=np.array([env_steps, episodes, updates, mean_return, mean_loss, mean_q, epsilon], float),
                 max_q=max_q if self.keep_max_q else None,
@@ -177,8 +180,8 @@ class Tally:
 
 def _episodes(records: list[_Record], slot: int, num_envs: int) -> Episodes:
     """The finished episodes of a slot in these records."""
-    ended = np.concatenate([r.ended for r in records], axis=1) if records else np.zeros((5, 0))
-    _, env, tick, returns, max_q = ended[:, ended[0] == slot]
+    parts = [r.ended[:, r.starts[slot] : r.starts[slot + 1]] for r in records]
+    env, tick, returns, max_q = np.concatenate(parts, axis=1) if parts else np.zeros((4, 0))
     tick = tick.astype(int)
     length = np.empty_like(tick)
     for n in range(num_envs):
