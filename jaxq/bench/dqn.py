@@ -24,13 +24,8 @@ def prepare(case: str, setting: str = "article", family: str = "pcg4d") -> Calla
     """``case`` lanes of ``setting``, all of the same length, without the evaluation at their end. Units: updates."""
     cpu.tune()
     from jaxq.bench import equal_lanes
-    from jaxq.plans import plan
-    from jaxq.presets import DQNSettings
 
     count = int(case)
     each = max(LEAST, min(MOST, BOUT // count // LEAST * LEAST))
-    one = plan("article-dqn", max_episodes=10**6, **SETTINGS[setting]).settings[0]
-    assert isinstance(one, DQNSettings)
-    # The warm-up stops one round short of the first update.
-    steps = max(0, one.learning_starts - one.steps_per_update) + each * one.steps_per_update
-    return equal_lanes.prepare(one, family, lanes=count, env_steps=steps)
+    one = equal_lanes.setting("article-dqn", **SETTINGS[setting])
+    return equal_lanes.prepare(one, family, lanes=count, updates=each)

@@ -16,9 +16,7 @@ def prepare(case: str, family: str = "pcg4d") -> Callable[[], float]:
     """``case`` lanes, all of the same length and none solved, without the evaluation at their end. Units: updates."""
     cpu.tune()
     from jaxq.bench import equal_lanes
-    from jaxq.plans import plan
 
     count = int(case)
     each = max(LEAST, min(MOST, BOUT // count // LEAST * LEAST))
-    one = plan("article-q", max_episodes=10**6, success_streak=10**6).settings[0]
-    return equal_lanes.prepare(one, family, lanes=count, env_steps=each)
+    return equal_lanes.prepare(equal_lanes.setting("article-q"), family, lanes=count, updates=each)
