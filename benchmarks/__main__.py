@@ -2,8 +2,8 @@
 
     python -m benchmarks [SUITE ...] [--peers]
 
-Prints a table and the ratios of each suite, and keeps both in ``benchmarks/results/SUITE.json``, from which
-``python -m benchmarks.page`` makes ``docs/benchmarks.md``.
+Prints a table of each suite, its ratios and how flat it is, and keeps them in ``benchmarks/results/SUITE.json``, from
+which ``python -m benchmarks.page`` makes ``docs/benchmarks.md``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import beside
+from benchmarks import beside, flatness
 from jaxq.bench import command, contest, report
 from jaxq.bench.suites import Suite
 
@@ -69,8 +69,10 @@ def main() -> int:
     RESULTS.mkdir(exist_ok=True)
     for name, result in results.items():
         result["ratios"] = ratios(result)
-        for row in result["ratios"]:
-            print(sentence(row), file=sys.stderr if options.json else sys.stdout)
+        result["flatness"] = flatness.flatness(result)
+        told = [*map(sentence, result["ratios"]), *(flatness.sentence(row, result) for row in result["flatness"])]
+        for line in told:
+            print(line, file=sys.stderr if options.json else sys.stdout)
         path = RESULTS / f"{name}.json"
         path.write_text(json.dumps(result, indent=1) + "\n")
         print(path, file=sys.stderr)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from jaxq.bench import solve
 from jaxq.bench.contest import Contender
-from jaxq.bench.suites import ENVS, GROUPS, LANES, cases
+from jaxq.bench.suites import ENVS, GROUPS, LANES, WIDTHS, cases
 
 HERE = Path(__file__).parent
 PEERS = HERE / "peers"
@@ -30,6 +30,7 @@ LIMITS: dict[str, Sequence[Contender]] = {
         Contender("plain JAX, one vmap", "benchmarks.plain_jax", cases(8, 32, 128)),
         Contender("jaxq, one vmap", "benchmarks.one_vmap", cases(8, 32, 128)),
     ],
+    "scaling-network": [Contender("products alone", "benchmarks.limits.products", WIDTHS, ("width",))],
 }
 
 
@@ -84,6 +85,7 @@ BARS = [
         for other in others
         for ours in ("jaxq, seeds together", "jaxq, one at a time")
     ),
+    *(Bar("scaling-network", "jaxq", "products alone", case=case) for case in WIDTHS),
 ]
 
 

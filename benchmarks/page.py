@@ -12,7 +12,7 @@ from typing import Any
 
 import matplotlib
 
-from benchmarks import curves
+from benchmarks import curves, flatness
 from benchmarks.__main__ import RESULTS
 from jaxq.bench import report, solved
 from jaxq.bench.suites import SUITES
@@ -48,6 +48,8 @@ def page(results: Mapping[str, Mapping[str, Any]]) -> str:
             parts.append("Not as ours:\n\n" + "\n".join(f"- {line}" for line in told))
         if result["ratios"]:
             parts.append(table(ratio_rows(result)))
+        if flat := flatness.lines(result):
+            parts += [table(flat), flatness.CAPTION]
         failed = report.errors(result)
         if failed:
             parts.append("Not run:\n\n" + "\n".join(f"- {line}" for line in failed))
@@ -122,7 +124,8 @@ def picture(result: Mapping[str, Any], path: Path) -> None:
         axes.fill_between(
             counts, [min(row["rates"]) for row in rows], [max(row["rates"]) for row in rows], color=color, alpha=0.2
         )
-    axes.set(xscale="log", yscale="log", xlabel=result["axis"], ylabel=f"{result['unit']} per second")
+    flatness.ticks(axes, result)
+    axes.set(yscale="log", xlabel=result["axis"], ylabel=f"{result['unit']} per second")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
     figure.savefig(path, dpi=110)
@@ -136,9 +139,12 @@ def main() -> None:
     (DOCS / "benchmarks").mkdir(exist_ok=True)
     for name, result in results.items():
         if solved.table(result):
-            curves.picture(result, DOCS / "benchmarks" / f"{name}.png")
+            draw = curves.picture
         elif _counts(result):
-            picture(result, DOCS / "benchmarks" / f"{name}.png")
+            draw = flatness.picture if flatness.lines(result) else picture
+        else:
+            continue
+        draw(result, DOCS / "benchmarks" / f"{name}.png")
     (DOCS / "benchmarks.md").write_text(page(results))
     print(DOCS / "benchmarks.md")
 

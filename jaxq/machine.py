@@ -21,6 +21,11 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def core_counts() -> tuple[int, ...]:
+    """The powers of two below all cores that this process may use, and all of them."""
+    return (*(2**i for i in range(cores().bit_length()) if 2**i < cores()), cores())
+
+
 def processor() -> str:
     """The processor's name."""
     for line in _cpuinfo():

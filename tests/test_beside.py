@@ -120,7 +120,8 @@ def test_every_ratio_names_contenders_that_run():
     for bar in beside.BARS:
         names = {one.name: one for one in suites.SUITES[bar.suite].contenders}
         others = {
-            one.name: one for one in [*beside.LIMITS.get(bar.suite, ()), *beside.PEERS_OF[bar.suite], *names.values()]
+            one.name: one
+            for one in [*beside.LIMITS.get(bar.suite, ()), *beside.PEERS_OF.get(bar.suite, ()), *names.values()]
         }
         assert bar.ours in names
         assert bar.other in others

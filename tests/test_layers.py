@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parent.parent / "jaxq"
 #: a pair below.
 LAYERS = [
     ["types", "families", "suggest", "cpu", "machine", "run_files", "streams", "bench.worker"],
-    ["bench.contest", "bench.report", "bench"],
+    ["bench.contest", "bench.report", "bench.memory", "bench"],
     ["prng", "elementary", "rules", "policies", "presets"],
     ["schedules"],
     [
@@ -38,7 +38,7 @@ LAYERS = [
     ["tables"],
     ["runs", "plots", "report", "progress", "flags", "bench.solved"],
     ["sweeps", "bench.equal_lanes"],
-    ["bench.env", "bench.tabular", "bench.dqn", "bench.sweep", "bench.solve"],
+    ["bench.env", "bench.tabular", "bench.dqn", "bench.sweep", "bench.solve", "bench.scaling", "bench.full_replay"],
     ["bench.suites"],
     ["bench.command"],
     ["commands"],

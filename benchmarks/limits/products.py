@@ -10,6 +10,8 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+from jaxq.bench.scaling import NETWORK_LANES
+
 PACKAGES = ("jax", "jaxlib")
 GROUP, LOOPS = 4, 512
 #: batch, inputs and outputs of the largest layer.
@@ -17,15 +19,17 @@ SHAPES = {"article": (128, 128, 128), "64-64": (64, 64, 64), "cleanrl": (128, 12
 
 
 def prepare(case: str, setting: str = "article") -> Callable[[], float]:
-    """``case`` lanes, of which a group per core is worked on at a time. Units: updates, that is, four products each."""
+    """``case`` lanes of ``setting``, or with "width" the lanes of the suite scaling-network, whose layers have ``case``
+    units. A group per core is worked on at a time. Units: updates, that is, four products each."""
     from jaxq import cpu
 
     cpu.tune()
     import jax
     import jax.numpy as jnp
 
-    batch, inputs, outputs = SHAPES[setting]
-    groups = -(-int(case) // GROUP)
+    count = int(case)
+    batch, inputs, outputs = (SHAPES["article"][0], count, count) if setting == "width" else SHAPES[setting]
+    groups = -(-(NETWORK_LANES if setting == "width" else count) // GROUP)
     workers = min(len(os.sched_getaffinity(0)), groups)
     shapes = {"x": (batch, inputs), "w": (inputs, outputs), "v": (inputs, outputs), "g": (batch, outputs)}
     arrays = {

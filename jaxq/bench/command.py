@@ -25,13 +25,15 @@ from rich.text import Text
 
 from jaxq.bench import report, solved
 from jaxq.bench.contest import Contender, contest
-from jaxq.bench.suites import SUITES, Suite
+from jaxq.bench.suites import SUITES, Suite, groups
 from jaxq.suggest import nearest
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """The flags that ``jaxq bench`` and ``python -m benchmarks`` share."""
-    parser.add_argument("suites", nargs="*", metavar="SUITE", help=f"{', '.join(SUITES)}; all when none is named")
+    together = "; ".join(f"{group} is all of {group}-*" for group in groups())
+    known = f"{', '.join(SUITES)}; {together}; all when none is named"
+    parser.add_argument("suites", nargs="*", metavar="SUITE", help=known)
     parser.add_argument("--repeats", type=_count, help="turns of each contender (a suite has its own default)")
     parser.add_argument("--seconds", type=_seconds, help="least time of a turn (a suite has its own default)")
     parser.add_argument(
@@ -42,11 +44,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen(names: Sequence[str]) -> list[Suite]:
-    """The suites of these names, all when there is none. Raises ValueError for an unknown one, with the nearest."""
+    """The suites of these names, each once, all when there is none; a group's name stands for all of its suites.
+
+    Raises ValueError for an unknown name, with the nearest.
+    """
+    together = groups()
     for name in names:
-        if name not in SUITES:
-            raise ValueError(f"suite {name!r} is unknown{nearest(name, list(SUITES))}")
-    return [SUITES[name] for name in names or SUITES]
+        if name not in SUITES and name not in together:
+            raise ValueError(f"suite {name!r} is unknown{nearest(name, [*SUITES, *together])}")
+    found = [one for name in names or SUITES for one in together.get(name, [name])]
+    return [SUITES[name] for name in dict.fromkeys(found)]
 
 
 def run(

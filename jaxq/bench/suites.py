@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from jaxq import machine
 from jaxq.bench import solve
 from jaxq.bench.contest import Contender
+from jaxq.bench.scaling import NETWORK_LANES
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,55 @@ LANES = cases(1, 16, 64, 256, 1024, 4096, 16_384)
 GROUPS = cases(1, 8, 32, 128, 512, 1024)
 
 COMMANDS = ("article-q, 1 seed", "article-q, 1024 seeds", "dqn, 64 settings, 16 seeds")
+MANY_LANES = cases(16, 64, 256, 1024, 4096, 16_384)
+CAPACITIES = cases(10**3, 10**4, 10**5, 10**6)
+CORES = cases(*machine.core_counts())
+WIDTHS = cases(16, 32, 64, 128, 256, 512)
+
+
+def _scaling(name: str, which: Sequence[str], axis: str, preset: str) -> Contender:
+    return Contender(name, "jaxq.bench.scaling", which, (axis, preset))
+
+
+SCALING = (
+    Suite(
+        "scaling-lanes",
+        "lanes of one length, few to many",
+        "updates",
+        "lanes",
+        [
+            _scaling("jaxq, article-q", MANY_LANES, "lanes", "article-q"),
+            _scaling("jaxq, article-dqn", MANY_LANES[:4], "lanes", "article-dqn"),
+        ],
+        repeats=3,
+    ),
+    Suite(
+        "scaling-replay",
+        "article-dqn with a full replay",
+        "updates",
+        "transitions",
+        [Contender("jaxq", "jaxq.bench.full_replay", CAPACITIES)],
+        repeats=7,
+    ),
+    Suite(
+        "scaling-cores",
+        "the same lanes on one core to all",
+        "updates",
+        "cores",
+        [
+            _scaling("jaxq, article-q", CORES, "cores", "article-q"),
+            _scaling("jaxq, article-dqn", CORES, "cores", "article-dqn"),
+        ],
+    ),
+    Suite(
+        "scaling-network",
+        f"article-dqn with two hidden layers of one width, {NETWORK_LANES} lanes",
+        "updates",
+        "units per layer",
+        [_scaling("jaxq", WIDTHS, "width", "article-dqn")],
+        repeats=3,
+    ),
+)
 
 SOLVED = tuple(solve.CASES)
 
@@ -99,5 +150,16 @@ SUITES = {
             repeats=1,
             seconds=600,
         ),
+        *SCALING,
     )
 }
+
+
+def groups() -> dict[str, list[str]]:
+    """Names that mean several suites, those which begin with the name and a hyphen: "scaling"."""
+    found: dict[str, list[str]] = {}
+    for name in SUITES:
+        group, hyphen, _ = name.partition("-")
+        if hyphen:
+            found.setdefault(group, []).append(name)
+    return found
