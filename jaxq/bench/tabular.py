@@ -8,8 +8,9 @@ from jaxq import cpu
 
 PACKAGES = ("jaxq", "jax", "jaxlib")
 
-#: Updates of a lane, whole segments; the lanes of a bout together make ``BOUT`` updates, as far as that allows.
-LEAST, MOST, BOUT = 20_000, 400_000, 2**24
+#: Updates of a lane, whole segments, at least as many as half of all trainings of ``article-q`` take until they
+#: succeed; the lanes of a bout together make ``BOUT`` updates, as far as that allows.
+LEAST, MOST, BOUT = 52_000, 416_000, 2**24
 
 
 def prepare(case: str, family: str = "pcg4d") -> Callable[[], float]:
