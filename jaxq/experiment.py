@@ -83,7 +83,9 @@ def experiment(
     the first round the agent acts, without learning, until ``warm_up_steps`` transitions less one round are stored, so
     that the first update sees at least ``warm_up_steps``. ``hypers.run`` is a Limits; ``impl`` is the family of the
     keys. Evaluation plays ``eval_episodes`` whole episodes, cut at ``eval_steps`` where an environment does not end
-    them itself. Raises ValueError for a count below 1 (``warm_up_steps`` below 0).
+    them itself. ``advance`` cannot be differentiated, and under ``vmap`` what the factories close over must not be
+    batched: numbers that differ between lanes come by ``hypers``. Raises ValueError for a count below 1
+    (``warm_up_steps`` below 0).
     """
     counts = {"rounds": rounds, "num_envs": num_envs, "steps_per_round": steps_per_round}
     counts |= {"eval_episodes": eval_episodes, "eval_steps": eval_steps, "warm_up_steps": warm_up_steps + 1}

@@ -14,6 +14,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Generator, Iterable
+from typing import Any
 
 import jax
 import numpy as np
@@ -48,7 +49,8 @@ def run(
 
     ``total`` is the number of lanes, for the progress. ``on_episodes`` is called for every lane at each of its segments
     with all episodes that it has finished. ``stop`` set: every worker finishes its segment, hands on what
-    ended, and the iterator ends. An exception in a worker, or Ctrl-C, is raised here once all that ended is handed on.
+    ended, and the iterator ends. An exception in a worker or of a listener, or Ctrl-C, is raised here once all that
+    ended is handed on.
     """
     stop = stop or threading.Event()
     shared = Shared(iter(lanes), Progress(total), stop, watched=on_episodes is not None)
@@ -56,30 +58,42 @@ def run(
     count = max(1, min(workers or default_workers(), -(-total // built.program.width)))
     threads = [threading.Thread(target=Worker(built, shared, root, keep_max_q).run, daemon=True) for _ in range(count)]
     failure: BaseException | None = None
+
+    def fail(error: BaseException) -> None:
+        """Raised in the end: what has ended is handed on first."""
+        nonlocal failure
+        failure, shared.closed = failure or error, True
+
+    def tell(listener: Callable[..., None] | None, *words: Any) -> None:
+        if listener is not None:
+            try:
+                listener(*words)
+            except BaseException as error:
+                fail(error)
+
     try:
         for thread in threads:
             thread.start()
         running = count
-        if on_progress:
-            on_progress(shared.progress)
+        tell(on_progress, shared.progress)
         while running:
-            item = None
+            alive, item = any(thread.is_alive() for thread in threads), None
             try:
                 item = shared.results.get(timeout=0.1)
             except queue.Empty:
-                pass
-            except KeyboardInterrupt as error:  # raised in the end: what has ended is handed on first
-                failure, shared.closed = error, True
+                if not alive:  # Ctrl-C came between a last word and its being heard
+                    break
+            except KeyboardInterrupt as error:
+                fail(error)
             if isinstance(item, list):
                 yield from item
             elif isinstance(item, Ended):
                 running -= 1
                 if item.error is not None:
-                    failure, shared.closed = failure or item.error, True
-            elif item is not None and on_episodes:
-                on_episodes(*item)
-            if on_progress:
-                on_progress(shared.progress)
+                    fail(item.error)
+            elif item is not None:
+                tell(on_episodes, *item)
+            tell(on_progress, shared.progress)
     finally:  # the caller may have left early
         shared.closed = True
         for thread in threads:  # a thread that is still in XLA when the interpreter ends aborts the process

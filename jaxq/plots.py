@@ -30,8 +30,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#00
 
 
 def q_values(max_q: np.ndarray) -> Figure:
-    """The tutorial's first picture: the value bootstrapped from, at every training step. max_q [steps], NaN before the
-    first update.
+    """The tutorial's first picture: the value bootstrapped from, at every training step. max_q [updates].
 
     Values that go over many decades, as those of a training that diverges, have a logarithmic scale.
     """

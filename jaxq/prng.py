@@ -170,8 +170,9 @@ def _pcg4d_seed(seed: Array) -> Array:
 def _pcg4d_fold_in(key: Array, data: Array) -> Array:
     """Key of a key and a number. Shapes: key [2], data [] uint32 -> [2].
 
-    One pass: a key need only be another one for every number, in any nesting. Whatever is drawn or split from it goes
-    through two passes more.
+    One pass: a key need only be another one for every number, in any nesting, and whatever is drawn or split from it
+    goes through two passes more. Numbers that differ by exactly 2^31 meet in one key with a chance of about 2^-19, as
+    the highest bit has nowhere to spread to; other pairs hardly more often than at random.
     """
     return jnp.stack(pcg4d(key[0], key[1], data.astype(jnp.uint32), _FOLD_IN)[:2])
 

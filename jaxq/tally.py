@@ -57,7 +57,7 @@ class Result:
     curve: Curve
     policy: PyTree
     eval_returns: np.ndarray | None  # None for a diverged lane
-    max_q: np.ndarray | None  # of every update, when asked for
+    max_q: np.ndarray | None  # [updates] of every update, when asked for
 
 
 class Done(NamedTuple):
@@ -135,7 +135,7 @@ class Tally:
                 starts=np.concatenate([[0], np.cumsum(ended)]),
                 valid=valid,
                 curve=np.array([env_steps, episodes, updates, mean_return, mean_loss, mean_q, epsilon], float),
-                max_q=max_q if self.keep_max_q else None,
+                max_q=max_q if self.keep_max_q and learned.any() else None,  # a warm-up has no updates
             )
         )
         made = int((env_steps - self.env_steps).sum()), int((updates - self.updates).sum())
@@ -160,15 +160,14 @@ class Tally:
         if lane is None:
             raise ValueError(f"slot {slot} is free")
         records = self._records_of(slot)
+        values = [r.max_q[: r.valid[slot], slot] for r in records if r.max_q is not None]
         done = Done(
             lane=lane,
             env_steps=int(self.env_steps[slot]),
             updates=int(self.updates[slot]),
             episodes=_episodes(records, slot, self.program.num_envs),
             curve=Curve(*(np.stack([r.curve[:, slot] for r in records], axis=1) if records else np.zeros((7, 0)))),
-            max_q=np.concatenate([r.max_q[: r.valid[slot], slot] for r in records if r.max_q is not None])
-            if self.keep_max_q and records
-            else None,
+            max_q=np.concatenate([np.zeros(0, np.float32), *values]) if self.keep_max_q else None,
         )
         self.slots[slot] = None
         in_use = [first for first, held in zip(self.first, self.slots, strict=True) if held is not None]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -22,7 +22,8 @@ from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED, Log
 from jaxq.tally import Done, Lane, Result, Tally
 from jaxq.types import Clock, Hypers, PyTree
 
-#: Ended lanes wait for company, so that a whole group is evaluated at once, but no longer than this.
+#: Ended lanes wait for company, so that a whole group is evaluated at once, but no longer than this where a segment
+#: is shorter.
 WAIT_SECONDS = 1.0
 
 STATUS = {SOLVED: "solved", FINISHED: "finished", DIVERGED: "diverged"}
@@ -120,6 +121,10 @@ class _Segment:
     ended: list[int] = field(default_factory=list)
     policies: PyTree = None  # of all slots, where a lane ended
 
+    def useful_s(self, steps: int) -> float:
+        """The seconds it ran, times the share of all its slots' steps that ``steps`` are."""
+        return (self.running - self.sent) * steps / self.log.over.size
+
 
 class Worker:
     """One group of slots, and the loop that keeps it full."""
@@ -142,11 +147,20 @@ class Worker:
 
     def run(self) -> None:
         error: BaseException | None = None  # it belongs to the caller's thread
-        for work in (self._work, self._do_books, self._evaluate_all, self._hand_on):  # what ended is not lost
+
+        def attempt(work: Callable[[], None]) -> None:
+            nonlocal error
             try:
                 work()
             except BaseException as caught:
                 error = error or caught
+
+        for work in (self._work, self._do_books, self._receive, self._do_books):  # what ended is not lost
+            attempt(work)
+        while self.waiting:  # an evaluation that fails costs its own group alone
+            attempt(self._evaluate)
+        while self.evaluated:
+            attempt(self._hand_on)
         self.shared.results.put(Ended(error))
 
     def _work(self) -> None:
@@ -198,7 +212,6 @@ class Worker:
         segment, self.open = self.open, None
         if segment is None:
             return
-        self._hand_on()
         for i, lane in segment.entered:
             self.tally.enter(i, lane)
         warm_up_steps = 0
@@ -213,9 +226,8 @@ class Worker:
         self.shared.count(id(self), self.tally.share(), warm_up_steps + steps, updates, names)
         if segment.pending:
             seconds = (self.sent.began if self.sent else time.monotonic()) - segment.began
-            self.shared.account(seconds, (segment.running - segment.sent) * steps / segment.log.over.size)
-        if len(self.waiting) >= self.width or (self.waiting and time.monotonic() - self.since > WAIT_SECONDS):
-            self._evaluate()
+            self.shared.account(seconds, segment.useful_s(steps))
+        self._pass_on(long=segment.running - segment.sent > WAIT_SECONDS)
 
     def _look(self) -> None:
         """Notes that XLA still runs the segment, if it does: how long it ran is not known otherwise."""
@@ -237,6 +249,15 @@ class Worker:
             self._look()
         return names
 
+    def _pass_on(self, long: bool) -> None:
+        """Hands on what was evaluated and has lanes evaluated; ``long``: the next time to do so is far away."""
+        if self.evaluated:
+            self._hand_on()
+        if len(self.waiting) >= self.width or (self.waiting and (long or time.monotonic() - self.since > WAIT_SECONDS)):
+            self._evaluate()
+            if long:
+                self._hand_on()
+
     def _evaluate(self) -> None:
         """Sends up to a group of ended lanes off to be evaluated together."""
         batch, self.waiting = self.waiting[: self.width], self.waiting[self.width :]
@@ -246,19 +267,14 @@ class Worker:
         seeds = np.array([entry[0].lane.seed for entry in padded], np.uint32)
         self.evaluated.append((batch, self.built.evaluate(self.root, seeds, policy, hypers)))
 
-    def _evaluate_all(self) -> None:
-        while self.waiting:
-            self._evaluate()
-
     def _hand_on(self) -> None:
-        """Emits the results of the lanes that were sent to their evaluation."""
-        while self.evaluated:
-            batch, evaluated = self.evaluated.pop(0)
-            results = []
-            for (done, status, weights), row in zip(batch, np.array(evaluated), strict=False):
-                returned = None if status == "diverged" else row
-                results.append(Result(**done._asdict(), status=status, policy=weights, eval_returns=returned))
-            self.shared.results.put(results)  # together: whoever waits for them needs the interpreter too
+        """Emits the results of the group that was sent to its evaluation first."""
+        batch, evaluated = self.evaluated.pop(0)
+        results = []
+        for (done, status, weights), row in zip(batch, np.array(evaluated), strict=False):
+            returned = None if status == "diverged" else row
+            results.append(Result(**done._asdict(), status=status, policy=weights, eval_returns=returned))
+        self.shared.results.put(results)  # together: whoever waits for them needs the interpreter too
 
 
 def _row(i: int, rows: np.ndarray) -> np.ndarray:

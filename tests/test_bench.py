@@ -1,6 +1,7 @@
 """The contest, our contenders in it, and ``jaxq bench``."""
 
 import json
+import subprocess
 import sys
 
 import gymnasium
@@ -220,6 +221,22 @@ def test_the_bar_shows_how_long_a_turn_takes():
     assert column.render(bar.bar.tasks[0]).plain == "0 of at least 600 s"
     bar.turn(1, 2, "ours, dqn", 0)
     assert column.render(bar.bar.tasks[0]).plain == "0 s"
+
+
+def test_a_contender_that_nobody_waits_for_any_more_ends_in_silence(module):
+    with subprocess.Popen(
+        [sys.executable, str(contest.WORKER), module],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert "versions" in json.loads(process.stdout.readline())
+        process.stdout.close()
+        process.stdin.write(json.dumps({"case": "1", "seconds": 0}) + "\n")
+        process.stdin.close()
+        assert process.wait() == 0
+        assert process.stderr.read() == "talk on stdout is no answer\n"
 
 
 def test_whole_runs_are_shown_in_seconds():

@@ -1,10 +1,12 @@
 """The engine when something goes wrong, or comes to its end: what has ended is handed on, and nobody is left behind."""
 
+import itertools
 import threading
+from dataclasses import replace
 
 import pytest
 
-from jaxq import executables, programs, sweeps
+from jaxq import executables, programs, sweeps, tally, workers
 from jaxq import lanes as engine
 from jaxq.plans import plan
 from jaxq.runs import RunDirectory
@@ -44,6 +46,95 @@ def test_what_ended_before_an_error_is_handed_on(table):
         collect(start(table, failing(), 1000, workers=2, on_progress=seen.append), got)
     assert len(got) == len(set(got)) == seen[-1].done  # the engine's own record, as it stands in the end
     assert 200 < len(got) <= 300
+
+
+def failing_on(call, work):
+    """The same work, which fails when it is called for this time."""
+    calls = itertools.count(1)
+
+    def counted(*arguments):
+        if next(calls) == call:
+            raise RuntimeError("no memory")
+        return work(*arguments)
+
+    return counted
+
+
+def test_an_evaluation_that_fails_costs_its_own_group_alone(table):
+    built = replace(table[0], evaluate=failing_on(2, table[0].evaluate))
+    seen, got = [], []
+    with pytest.raises(RuntimeError, match="no memory"):
+        collect(start((built, table[1]), lanes_of(table, 1000), 1000, workers=1, on_progress=seen.append), got)
+    assert len(got) == len(set(got)) == seen[-1].done - built.program.width
+    assert len(got) > built.program.width
+
+
+def test_what_ended_in_the_segment_that_runs_when_books_fail_is_handed_on(table, monkeypatch):
+    def ended(segments):
+        """The lanes that end within so many segments."""
+        stop, calls, got = threading.Event(), itertools.count(1), []
+
+        def advance(*arguments):
+            if next(calls) == segments:
+                stop.set()
+            return table[0].advance(*arguments)
+
+        built = replace(table[0], advance=advance)
+        collect(start((built, table[1]), lanes_of(table, 4000), 4000, workers=1, stop=stop), got)
+        return set(got)
+
+    got = []
+    with monkeypatch.context() as patch:
+        patch.setattr(tally.Tally, "share", failing_on(6, tally.Tally.share))  # in the books of the sixth segment
+        with pytest.raises(RuntimeError, match="no memory"):
+            collect(start(table, lanes_of(table, 4000), 4000, workers=1), got)
+    assert ended(6) < set(got) == ended(7)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_a_listener_that_fails_loses_nothing_that_ended(table, error):
+    seen, got = [], []
+
+    def listen(progress):
+        seen.append(progress.done)
+        if len(seen) == 20:
+            raise error
+
+    with pytest.raises(error):
+        collect(start(table, lanes_of(table, 4000), 4000, on_progress=listen), got)
+    assert len(got) == len(set(got)) == seen[-1]
+    assert 0 < len(got) < 4000
+
+
+def test_ctrl_c_that_swallows_a_last_word_hangs_nobody(table, monkeypatch):
+    class Swallowing(engine.queue.SimpleQueue):
+        def get(self, *args, **options):
+            item = super().get(*args, **options)
+            if isinstance(item, workers.Ended):
+                raise KeyboardInterrupt
+            return item
+
+    monkeypatch.setattr(workers.queue, "SimpleQueue", Swallowing)
+    got = []
+    with pytest.raises(KeyboardInterrupt):
+        collect(start(table, lanes_of(table, 100), 100, workers=2), got)
+    assert sorted(got) == list(range(100))
+
+
+@pytest.mark.parametrize(("seconds", "waits"), [(0.0, False), (1e9, True)])
+def test_after_a_long_segment_nobody_waits_for_company(table, monkeypatch, seconds, waits):
+    left, books = [], workers.Worker._do_books
+
+    def watched(worker):
+        books(worker)
+        left.append(len(worker.waiting) + len(worker.evaluated))
+
+    monkeypatch.setattr(workers, "WAIT_SECONDS", seconds)
+    monkeypatch.setattr(workers.Worker, "_do_books", watched)
+    got = []
+    collect(start(table, lanes_of(table, 200), 200, workers=1), got)
+    assert sorted(got) == list(range(200))
+    assert any(left) == waits
 
 
 def test_ctrl_c_in_the_callers_thread_hands_on_what_ended(table, monkeypatch):

@@ -19,6 +19,7 @@ def hypers(episodes=10**6, steps=10**6, success_steps=10**6, streak=0):
 
 
 def train(h, *, length=3, truncates=False, rounds=8, seen=8, rule=None, **structure):
+    """A segment of one lane beside another that ends soon, together as the engine runs them."""
     made = experiment(
         lambda _: probes.counter(length, truncates=truncates),
         lambda _, env: probes.recorder(seen),
@@ -26,8 +27,10 @@ def train(h, *, length=3, truncates=False, rounds=8, seen=8, rule=None, **struct
         rounds=rounds,
         **structure,
     )
-    state, first = jax.jit(made.init)(prng.key(0), h)
-    return (*jax.jit(made.advance)(state, h), first)
+    group = jax.tree.map(lambda *leaves: np.stack(leaves), h, hypers(steps=2))
+    state, first = jax.jit(jax.vmap(made.init))(jax.random.split(prng.key(0)), group)
+    state, log = jax.jit(jax.vmap(made.advance))(state, group)
+    return jax.tree.map(lambda leaf: leaf[0], (state, log, first))
 
 
 def test_the_stored_successor_is_the_true_one_and_termination_stops_the_bootstrap():
@@ -113,6 +116,37 @@ def test_a_non_finite_loss_ends_the_lane_at_its_step():
     state, _ = jax.jit(made.advance)(state, hypers())
     assert int(state.status) == DIVERGED
     assert int(state.clock.env_steps) == 5
+
+
+def test_a_group_advances_as_each_of_its_lanes_alone():
+    """State and log, where both differ between lanes, where only one does, and where groups stand in groups."""
+    made = experiment(
+        lambda _: probes.counter(3),
+        lambda _, env: probes.recorder(24, ("obs_tm1", "a_tm1", "obs_t", "r_t")),
+        success=success.streak(),
+        rounds=5,
+        num_envs=2,
+        steps_per_round=3,
+    )
+    settings = [hypers(steps=steps) for steps in (6, 17, 100, 1000)]
+    states = [made.init(prng.key(seed), settings[0])[0] for seed in range(4)]
+
+    def stacked(trees):
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+    def same(together, alone):
+        jax.tree.map(np.testing.assert_array_equal, together, stacked(alone))
+
+    advance = jax.jit(made.advance)
+    both = [advance(state, h) for state, h in zip(states, settings, strict=True)]
+    assert len({int(state.clock.env_steps) for state, _ in both}) == 4 - 1  # two never end
+    same(jax.vmap(advance)(stacked(states), stacked(settings)), both)
+    same(jax.vmap(advance, (0, None))(stacked(states), settings[1]), [advance(s, settings[1]) for s in states])
+    same(jax.vmap(advance, (None, 0))(states[1], stacked(settings)), [advance(states[1], h) for h in settings])
+    nested = jax.vmap(jax.vmap(advance))(
+        *(jax.tree.map(lambda x: x.reshape(2, 2, *x.shape[1:]), stacked(t)) for t in (states, settings))
+    )
+    same(jax.tree.map(lambda x: x.reshape(4, *x.shape[2:]), nested), both)
 
 
 def test_segments_continue_where_the_last_one_stopped():

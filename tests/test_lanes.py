@@ -9,10 +9,10 @@ import numpy as np
 import probes
 import pytest
 
-from jaxq import executables, prng, programs, success
+from jaxq import executables, prng, programs, success, workers
 from jaxq import lanes as engine
 from jaxq.agents.dqn import DQNHypers
-from jaxq.experiment import Limits, experiment
+from jaxq.experiment import Limits, Log, experiment
 from jaxq.plans import plan
 from jaxq.tally import Lane
 from jaxq.types import Hypers
@@ -242,6 +242,14 @@ def test_an_error_in_a_worker_reaches_the_caller():
     compiled = executables.build(programs.program(one, PRNG), programs.hypers(one), PRNG)
     with pytest.raises(ValueError, match="seed"):
         finish(compiled, [Lane(0, "seed", programs.hypers(one))])
+
+
+def test_a_slot_is_useful_for_as_much_of_a_segment_as_its_lane_lived():
+    over = np.zeros((10, 4, 2, 3), bool)  # rounds, slots, steps, environments
+    log = Log(over, *(None,) * 4)
+    segment = workers._Segment(0.0, [], np.ones(4, bool), None, log, pending=True, sent=1.0, running=3.0)
+    assert segment.useful_s(4 * 10 * 2 * 3) == 2.0
+    assert segment.useful_s((10 + 10 + 5) * 2 * 3) == 2.0 * 25 / 40  # a slot stood free, and a lane ended half way
 
 
 def test_time_with_lanes_waiting_is_counted_apart_from_the_tail():

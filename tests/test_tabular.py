@@ -328,3 +328,10 @@ def test_the_policy_is_the_table_and_warm_up_teaches_nothing():
 def test_a_count_below_1_is_an_error(counts):
     with pytest.raises(ValueError, match=r"^num_states, num_actions: .* must be at least 1$"):
         make_agent(**counts)
+
+
+@pytest.mark.parametrize(("states", "rows"), [(150, 160), (160, 160), (170, 170), (171, 171)])
+def test_a_table_has_unused_rows_only_where_it_stays_small_with_them(states, rows):
+    """170 x 3 cells are few enough for a dense write, 176 x 3 would not be."""
+    agent = tabular(NUMBERS, num_states=states, num_actions=3)
+    assert agent.init(jax.random.key(0), None).table.shape == (rows, 3)

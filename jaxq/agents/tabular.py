@@ -65,10 +65,10 @@ def tabular(
 
     def init(key: Key, example: Transition) -> TabularState:
         del key, example
-        rows = num_states
-        if num_states * num_actions <= DENSE_CELLS:
-            whole = WHOLE_CELLS // math.gcd(WHOLE_CELLS, num_actions)
-            rows = -(-num_states // whole) * whole
+        whole = WHOLE_CELLS // math.gcd(WHOLE_CELLS, num_actions)
+        rows = -(-num_states // whole) * whole
+        if rows * num_actions > DENSE_CELLS:
+            rows = num_states
         return TabularState(jnp.full((rows, num_actions), hypers.initial_value, dtype))
 
     def act(key: Key, state: TabularState, obs: Array, clock: Clock) -> Array:
