@@ -47,7 +47,6 @@ class Bar:
     least: float | None = None
     goal: float | None = None
     case: str | None = None
-    other_case: str | None = None
 
 
 BARS = [

@@ -40,7 +40,11 @@ def main() -> None:
     os.dup2(2, 1)  # what a library prints is talk, not an answer
 
     def answer(**fields: Any) -> None:
-        answers.write(json.dumps(fields) + "\n")
+        try:
+            answers.write(json.dumps(fields) + "\n")
+        except BrokenPipeError:  # nobody asks any more
+            os.dup2(os.open(os.devnull, os.O_WRONLY), answers.fileno())
+            sys.exit()
 
     try:
         del sys.path[0]  # this file's folder, whose names are not for others
