@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.ticker import EngFormatter
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from jaxq.bench import solved
 from jaxq.plots import COLORS
@@ -57,4 +57,5 @@ def _lines(axes: Any, times: Mapping[str, Sequence[float | None]], *, log: bool)
         )
     axes.set(xscale="log" if log else "linear", xlim=(start, edge))
     if not log:
+        axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.xaxis.set_major_formatter(EngFormatter())
