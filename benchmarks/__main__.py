@@ -8,74 +8,111 @@ which ``python -m benchmarks.page`` makes ``docs/benchmarks.md``.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks import beside, flatness
-from jaxq.bench import command, contest, report
+from jaxq import flags
+from jaxq.bench import command, contest, report, solved
 from jaxq.bench.suites import Suite
 
 RESULTS = Path(__file__).parent / "results"
 
 
+def figure(row: dict[str, Any]) -> float:
+    """What is compared of a row: its median, or of trainings until they were solved the solved ones per second."""
+    trained = solved.trainings(row)
+    if trained is None:
+        return row["median"]
+    return sum(at is not None for at in trained.solved_at_s) / sum(trained.seconds)
+
+
 def ratios(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """The ratios of a suite's result, each with its bar and goal; None where a contender has no figure."""
-    found = {(row["contender"], row["case"]): row["median"] for row in result["rows"]}
+    """The ratios of a suite's result, each with its bar and goal, and those of its turns; None where a contender has no
+    figure."""
+
+    def row_of(name: str, case: str | None) -> dict[str, Any] | None:
+        """A contender's row of that case, of its best where that is None."""
+        rows = [row for row in result["rows"] if row["contender"] == name and row["median"] and figure(row)]
+        return max((row for row in rows if case in (None, row["case"])), key=lambda row: row["median"], default=None)
+
     made = []
     for bar in beside.BARS:
-        if bar.suite != result["suite"] or not any(name == bar.other for name, _ in found):
+        if bar.suite != result["suite"] or not any(row["contender"] == bar.other for row in result["rows"]):
             continue
-        if bar.case is None:
-            ours, other = contest.best(result, bar.ours), contest.best(result, bar.other)
-        else:
-            ours, other = found.get((bar.ours, bar.case)), found.get((bar.other, bar.case))
-        ratio = ours / other if ours and other else None
-        made.append({**vars(bar), "ratio": ratio})
+        ours, other = row_of(bar.ours, bar.case), row_of(bar.other, bar.case)
+        ratio, turns = None, None
+        if ours and other:
+            ratio = figure(ours) / figure(other)
+            turns = [mine / theirs for mine, theirs in zip(ours["rates"], other["rates"], strict=False)]
+        made.append({**vars(bar), "ratio": ratio, "turns": turns})
     return made
+
+
+def times(row: dict[str, Any]) -> str:
+    """A ratio with the smallest and the largest of those of the turns, as text."""
+    if row["ratio"] is None:
+        return "no figure"
+    spread = f" [{min(row['turns']):.3g}, {max(row['turns']):.3g}]" if len(row["turns"]) > 1 else ""
+    return f"{row['ratio']:.3g}{spread}"
+
+
+def judged(result: dict[str, Any]) -> dict[str, Any]:
+    """A suite's result with its ratios and how flat it is."""
+    return {**result, "ratios": ratios(result), "flatness": flatness.flatness(result)}
 
 
 def sentence(row: dict[str, Any]) -> str:
     """A ratio as a line of text."""
     where = "each at its best" if row["case"] is None else f"at {report.counted(row['case'])}"
     if row["ratio"] is None:
-        return f"{row['ours']} / {row['other']}, {where}: no figure"
+        return f"{row['ours']} / {row['other']}, {where}: {times(row)}"
     wanted = [f"bar {row['least']:g}"] if row["least"] else []
     wanted += [f"goal {row['goal']:g}"] if row["goal"] else []
-    return f"{row['ours']} / {row['other']}, {where}: {row['ratio']:.3g}" + (
-        f" ({', '.join(wanted)})" if wanted else ""
-    )
+    return f"{row['ours']} / {row['other']}, {where}: {times(row)}" + (f" ({', '.join(wanted)})" if wanted else "")
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=(__doc__ or "").splitlines()[0])
+def main(words: Sequence[str] | None = None) -> int:
+    parser = flags.Parser(prog="python -m benchmarks", description=(__doc__ or "").splitlines()[0], allow_abbrev=False)
     command.arguments(parser)
     parser.add_argument("--peers", action="store_true", help="the peers too, each in its environment (make peers)")
-    options = parser.parse_args()
     # The contenders that a dotted name finds are found from here, wherever this is run.
     root = str(Path(__file__).parent.parent)
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH", "")]))
+    try:
+        options = flags.read(parser, sys.argv[1:] if words is None else words, "python -m benchmarks")
+        chosen = command.chosen(options.suites)
+        command.check(options.cases, chosen)
+    except (flags.UsageError, ValueError) as error:
+        print(f"python -m benchmarks: error: {error}", file=sys.stderr)
+        return 2
+    whole = options.cases is options.repeats is options.seconds is None
 
     def extra(suite: Suite) -> list[contest.Contender]:
         return [*beside.LIMITS.get(suite.name, ()), *(beside.PEERS_OF.get(suite.name, ()) if options.peers else ())]
 
-    try:
-        results = command.run(options, extra)
-    except ValueError as error:
-        parser.error(str(error))
-    RESULTS.mkdir(exist_ok=True)
-    for name, result in results.items():
-        result["ratios"] = ratios(result)
-        result["flatness"] = flatness.flatness(result)
+    def keep(result: dict[str, Any]) -> None:
+        result = judged(result)
         told = [*map(sentence, result["ratios"]), *(flatness.sentence(row, result) for row in result["flatness"])]
         for line in told:
-            print(line, file=sys.stderr if options.json else sys.stdout)
-        path = RESULTS / f"{name}.json"
-        path.write_text(json.dumps(result, indent=1) + "\n")
-        print(path, file=sys.stderr)
+            print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
+        if whole:
+            RESULTS.mkdir(exist_ok=True)
+            path = RESULTS / f"{result['suite']}.json"
+            path.write_text(json.dumps(result, indent=1) + "\n")
+            print(path, file=sys.stderr)
+        else:
+            print("not kept: only whole suites are, without --cases, --repeats and --seconds", file=sys.stderr)
+
+    try:
+        command.run(options, extra, keep)
+    except KeyboardInterrupt:
+        print("interrupted; suites that ended are kept", file=sys.stderr)
+        return 130
     return 0
 
 

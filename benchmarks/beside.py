@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jaxq.bench import solve
+from jaxq.bench import solve, tabular
 from jaxq.bench.contest import Contender
 from jaxq.bench.suites import ENVS, GROUPS, LANES, WIDTHS, cases
 
@@ -111,7 +111,7 @@ PEERS_OF: dict[str, Sequence[Contender]] = {
     ],
     "tabular": [
         _peer("the tutorial, NumPy", "numpy_table.py", cases(1)),
-        _peer("Numba", "numba_table.py", LANES),
+        _peer("Numba", "numba_table.py", LANES, str(tabular.UPDATES)),
     ],
     "dqn": [
         _peer("the tutorial, PyTorch", "torch_dqn.py", cases(1), "1"),

@@ -18,7 +18,7 @@ not count. Memory is the peak of a case's first bout, fewer lanes before more.""
 
 @dataclass(frozen=True)
 class Flat:
-    """A quantity of a contender over all its cases; ``least`` and ``goal`` as in ``beside.Bar``.
+    """A quantity of a contender over its cases from ``since`` on; ``least`` and ``goal`` as in ``beside.Bar``.
 
     Cases smaller than the ``slots`` in their notes do not count: they leave cores idle.
     """
@@ -28,9 +28,11 @@ class Flat:
     quantity: str = RATE
     least: float | None = None
     goal: float | None = None
+    since: int = 0
 
 
 FLAT = [
+    Flat("dqn", "jaxq", least=0.75, goal=0.85, since=8),
     Flat("scaling-lanes", "jaxq, article-q", goal=0.9),
     Flat("scaling-lanes", "jaxq, article-dqn", goal=0.9),
     Flat("scaling-lanes", "jaxq, article-q", MEMORY, goal=0.9),
@@ -65,7 +67,7 @@ def figures(result: Mapping[str, Any], flat: Flat) -> dict[int, tuple[float, boo
         case, notes = int(row["case"]), row.get("notes", {})
         value = {RATE: row["median"], SHARE: row["median"] / case}.get(flat.quantity, notes.get(flat.quantity))
         if value:
-            found[case] = value, case >= notes.get("slots", 0)
+            found[case] = value, case >= max(flat.since, notes.get("slots", 0))
     return found
 
 
@@ -95,6 +97,13 @@ def lines(result: Mapping[str, Any]) -> list[list[str]]:
         wanted = [f"{row[key]:g}" if row[key] else "" for key in ("least", "goal")]
         told.append([row["contender"], named(row["quantity"], result), over, value, *wanted])
     return told if len(told) > 1 else []
+
+
+def alone(result: Mapping[str, Any]) -> bool:
+    """Whether a suite is about flatness alone: every contender should be flat."""
+    return {row["contender"] for row in result["rows"]} <= {
+        flat.contender for flat in FLAT if flat.suite == result["suite"]
+    }
 
 
 def picture(result: Mapping[str, Any], path: Path) -> None:

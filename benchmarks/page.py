@@ -13,7 +13,7 @@ from typing import Any
 import matplotlib
 
 from benchmarks import curves, flatness
-from benchmarks.__main__ import RESULTS
+from benchmarks.__main__ import RESULTS, judged, times
 from jaxq.bench import report, solved
 from jaxq.bench.suites import SUITES
 
@@ -32,6 +32,7 @@ def page(results: Mapping[str, Mapping[str, Any]]) -> str:
     """The text of the page."""
     parts = [HEAD]
     for name, result in results.items():
+        result = judged(result)
         parts += [
             f"## {name}: {SUITES[name].summary}",
             f"`python -m benchmarks {name}{' --peers' if _with_peers(result) else ''}`, {result['began'][:10]}; "
@@ -47,6 +48,8 @@ def page(results: Mapping[str, Mapping[str, Any]]) -> str:
         if told := solved.remarks(result):
             parts.append("Not as ours:\n\n" + "\n".join(f"- {line}" for line in told))
         if result["ratios"]:
+            if trained:
+                parts.append("Trainings solved per second, beside one another:")
             parts.append(table(ratio_rows(result)))
         if flat := flatness.lines(result):
             parts += [table(flat), flatness.CAPTION]
@@ -92,9 +95,8 @@ def ratio_rows(result: Mapping[str, Any]) -> list[list[str]]:
         case = row["case"]
         where = "each at its best" if case is None else report.counted(case)
         where += f" {result['axis']}" if case and case.isdigit() else ""
-        ratio = "no figure" if row["ratio"] is None else f"{row['ratio']:.3g}"
         wanted = [f"{row[name]:g}" if row[name] else "" for name in ("least", "goal")]
-        lines.append([row["ours"], row["other"], where, ratio, *wanted])
+        lines.append([row["ours"], row["other"], where, times(row), *wanted])
     return lines
 
 
@@ -141,7 +143,7 @@ def main() -> None:
         if solved.table(result):
             draw = curves.picture
         elif _counts(result):
-            draw = flatness.picture if flatness.lines(result) else picture
+            draw = flatness.picture if flatness.alone(result) else picture
         else:
             continue
         draw(result, DOCS / "benchmarks" / f"{name}.png")

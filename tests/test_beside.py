@@ -1,6 +1,7 @@
 """The limits, the ratios and the page of ``python -m benchmarks``."""
 
 import ctypes
+import json
 import shutil
 
 import jax.numpy as jnp
@@ -10,7 +11,8 @@ import pytest
 from benchmarks import __main__ as benchmarks
 from benchmarks import beside, page
 from benchmarks.limits import c, products
-from jaxq.bench import suites
+from jaxq.bench import command, contest, suites
+from jaxq.bench.contest import Contender
 from jaxq.envs import CartPoleParams, CartPoleState, cartpole
 
 
@@ -96,9 +98,72 @@ def fake(medians):
     }
 
 
+def test_a_ratio_tells_what_its_turns_say():
+    result = fake({("jaxq", "64"): 400.0, ("Gymnasium, vector", "1"): 40.0})
+    for row, rates in zip(result["rows"], [[380.0, 400.0, 420.0], [40.0, 50.0, 35.0]], strict=False):
+        row["rates"] = rates
+    (vector, _) = benchmarks.judged(result)["ratios"]
+    assert vector["turns"] == [9.5, 8.0, 12.0]
+    assert benchmarks.sentence(vector).endswith("each at its best: 10 [8, 12] (bar 8)")
+
+
+@pytest.fixture
+def small(tmp_path, monkeypatch):
+    """Two suites of nothing, and a place for their results."""
+    path = tmp_path / "contender.py"
+    path.write_text("def prepare(case):\n    return lambda: 1.0\n")
+    for name in ("env", "tabular"):
+        one = suites.Suite(name, "a test", "steps", "lanes", [Contender("jaxq", str(path), ("1", "2"))], 1, 0.0)
+        monkeypatch.setitem(suites.SUITES, name, one)
+        monkeypatch.setitem(beside.LIMITS, name, [Contender("a limit", str(path), ("1",))])
+    monkeypatch.setattr(benchmarks, "RESULTS", tmp_path / "results")
+    monkeypatch.setenv("PYTHONPATH", "")
+    return tmp_path / "results"
+
+
+def test_a_whole_suite_is_kept_as_it_ends(small, monkeypatch, capsys):
+    ran = []
+
+    def contest_or_ctrl_c(contenders, **options):
+        ran.append([contender.name for contender in contenders])
+        if len(ran) == 2:
+            raise KeyboardInterrupt
+        return contest.contest(contenders, **options)
+
+    monkeypatch.setattr(command, "contest", contest_or_ctrl_c)
+    assert benchmarks.main(["env", "tabular", "--quiet"]) == 130
+    assert ran == [["jaxq", "a limit"]] * 2
+    assert [path.name for path in small.iterdir()] == ["env.json"]
+    kept = json.loads((small / "env.json").read_text())
+    assert len(kept["rows"]) == 3
+    assert kept["ratios"] == kept["flatness"] == []
+    assert "env: a test" in capsys.readouterr().out
+
+
+def test_a_part_of_a_suite_replaces_nothing(small, capsys):
+    for words in (["--cases", "1"], ["--repeats", "2"], ["--seconds", "0"]):
+        assert benchmarks.main(["env", *words]) == 0
+        assert "not kept" in capsys.readouterr().err
+    assert not small.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["evn"], "suite 'evn' is unknown; did you mean 'env'?"),
+        (["env", "tabular", "--cases", "1", "3"], "cases: env has no 3; known: 1, 2"),
+        (["--pears"], "--pears is unknown to python -m benchmarks; did you mean '--peers'?"),
+    ],
+)
+def test_a_mistake_is_one_line(small, capsys, words, message):
+    assert benchmarks.main(words) == 2
+    assert capsys.readouterr() == ("", f"python -m benchmarks: error: {message}\n")
+    assert not small.exists()
+
+
 def test_ratios_and_the_page():
     result = fake({("jaxq", "64"): 400.0, ("jaxq", "1"): 2.0, ("Gymnasium, vector", "1"): 40.0})
-    result["ratios"] = benchmarks.ratios(result)
+    result = benchmarks.judged(result)
     found = {row["other"]: row["ratio"] for row in result["ratios"]}
     assert found == {"Gymnasium, vector": 10.0, "gymnax": None}  # each at its best; who did not run is not hidden
     lines = [benchmarks.sentence(row) for row in result["ratios"]]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks import curves, page
+from benchmarks import beside, curves, page
 from jaxq.bench import report, solved
 
 
@@ -66,17 +66,13 @@ def test_the_table_tells_every_seed_and_who_did_not_run(result):
     )
 
 
-def test_the_page_and_the_picture(result, tmp_path):
-    ratio = {
-        "ours": "jaxq, seeds together",
-        "other": "a peer",
-        "ratio": 3.0,
-        "case": "dqn",
-        "least": None,
-        "goal": None,
-    }
-    text = page.page({"solve": {**result, "ratios": [ratio]}})
-    assert "| jaxq, seeds together | a peer | dqn | 3 |" in text
+def test_the_page_and_the_picture(result, tmp_path, monkeypatch):
+    bars = [beside.Bar("solve", "jaxq, seeds together", other, case="dqn") for other in ("a peer", "another")]
+    monkeypatch.setattr(beside, "BARS", bars)
+    text = page.page({"solve": result})
+    ratio = (3 / 9) / (8 / 55)  # solved trainings per second
+    assert f"| jaxq, seeds together | a peer | dqn | {ratio:.3g} |" in text
+    assert "| jaxq, seeds together | another | dqn | no figure |" in text
     assert "| a peer | dqn | 10 | 80 % [49, 94.3] |" in text
     assert "![solve](benchmarks/solve.png)" in text
     assert "seed after seed for at least 600 s" in text

@@ -12,20 +12,16 @@ from collections.abc import Callable
 
 PACKAGES = ("numba", "llvmlite", "numpy")
 
-#: Updates of a lane, so that the lanes of a bout together make ``BOUT``, as far as that allows.
-UPDATES, BOUT = range(20_000, 2_000_000), 2**22
 
-
-def prepare(case: str) -> Callable[[], float]:
-    """``case`` lanes. Units: updates, one per environment step."""
+def prepare(case: str, updates: str) -> Callable[[], float]:
+    """``case`` lanes of so many ``updates``. Units: updates, one per environment step."""
     count = int(case)
-    updates = min(max(BOUT // count, UPDATES.start), UPDATES.stop)
     many, _ = build()
     first = 0
 
     def bout() -> float:
         nonlocal first
-        _, steps = many(count, first, updates, 2**30)
+        _, steps = many(count, first, int(updates), 2**30)
         first += count
         return float(steps.sum())
 

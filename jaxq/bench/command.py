@@ -56,21 +56,49 @@ def chosen(names: Sequence[str]) -> list[Suite]:
     return [SUITES[name] for name in dict.fromkeys(found)]
 
 
+def check(cases: Sequence[str] | None, suites: Sequence[Suite]) -> None:
+    """Raises ValueError for a case that one of these suites does not have."""
+    for suite in suites:
+        known = dict.fromkeys(case for contender in suite.contenders for case in contender.cases)
+        unknown = [case for case in cases or () if case not in known]
+        if unknown:
+            raise ValueError(f"cases: {suite.name} has no {' '.join(unknown)}; known: {', '.join(known)}")
+
+
 def run(
-    options: argparse.Namespace, extra: Callable[[Suite], Sequence[Contender]] = lambda suite: ()
+    options: argparse.Namespace,
+    extra: Callable[[Suite], Sequence[Contender]] = lambda suite: (),
+    on_result: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Runs the suites that the options name, each with ``extra`` contenders beside ours; results by suite.
 
-    Tables go to stdout as they come, or with ``--json`` one object at the end; progress goes to stderr.
+    Tables go to stdout as they come, or with ``--json`` one object at the end, or when interrupted; progress goes to
+    stderr. ``on_result`` is called for every suite as it ends. Raises ValueError, before anything runs, for a suite or
+    a case that there is not.
     """
-    results = {}
-    for suite in chosen(options.suites):
+    suites = chosen(options.suites)
+    check(options.cases, suites)
+    results: dict[str, Any] = {}
+    try:
+        _run(suites, options, extra, on_result, results)
+    finally:
+        if options.json and results:
+            print(json.dumps(results), flush=True)
+    return results
+
+
+def _run(
+    suites: Sequence[Suite],
+    options: argparse.Namespace,
+    extra: Callable[[Suite], Sequence[Contender]],
+    on_result: Callable[[dict[str, Any]], None],
+    results: dict[str, Any],
+) -> None:
+    """``run``, whose results are filled in as they come."""
+    for suite in suites:
         contenders = [*suite.contenders, *extra(suite)]
         if options.cases:
             contenders = [_only(contender, options.cases) for contender in contenders]
-            if not any(contender.cases for contender in contenders):
-                known = dict.fromkeys(case for contender in suite.contenders for case in contender.cases)
-                raise ValueError(f"cases: {suite.name} has no {' '.join(options.cases)}; known: {', '.join(known)}")
         with _Bar(suite.name, options.quiet) as bar:
             result = contest(
                 [contender for contender in contenders if contender.cases],
@@ -85,11 +113,11 @@ def run(
             "whole": suite.whole,
             **result,
         }
-        if not options.json:
+        if options.json:
+            _tell_errors(results[suite.name])
+        else:
             show(results[suite.name], suite)
-    if options.json:
-        print(json.dumps(results))
-    return results
+        on_result(results[suite.name])
 
 
 def show(result: dict[str, Any], suite: Suite) -> None:
@@ -104,6 +132,10 @@ def show(result: dict[str, Any], suite: Suite) -> None:
     for line in solved.remarks(result):
         print(line)
     sys.stdout.flush()
+    _tell_errors(result)
+
+
+def _tell_errors(result: dict[str, Any]) -> None:
     for line in report.errors(result):
         print(f"not run: {line}", file=sys.stderr)
 

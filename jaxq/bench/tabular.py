@@ -8,9 +8,8 @@ from jaxq import cpu
 
 PACKAGES = ("jaxq", "jax", "jaxlib")
 
-#: Updates of a lane, whole segments, at least as many as half of all trainings of ``article-q`` take until they
-#: succeed; the lanes of a bout together make ``BOUT`` updates, as far as that allows.
-LEAST, MOST, BOUT = 52_000, 416_000, 2**24
+#: Updates of a lane, whole segments: half of all trainings of ``article-q`` succeed within so many.
+UPDATES = 52_000
 
 
 def prepare(case: str, family: str = "pcg4d") -> Callable[[], float]:
@@ -18,6 +17,5 @@ def prepare(case: str, family: str = "pcg4d") -> Callable[[], float]:
     cpu.tune()
     from jaxq.bench import equal_lanes
 
-    count = int(case)
-    each = max(LEAST, min(MOST, BOUT // count // LEAST * LEAST))
-    return equal_lanes.prepare(equal_lanes.setting("article-q"), family, lanes=count, updates=each)
+    one = equal_lanes.setting("article-q")
+    return equal_lanes.prepare(one, family, lanes=int(case), updates=UPDATES)
