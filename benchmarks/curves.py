@@ -11,6 +11,9 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from jaxq.bench import solved
 from jaxq.plots import COLORS
 
+#: What the left panels show of a seed.
+SECONDS = "seconds of a seed, its share where seeds run together"
+
 
 def picture(result: Mapping[str, Any], path: Path) -> None:
     """A row of axes per setting, over the seconds of a seed and over its environment steps; a line per contender.
@@ -27,7 +30,7 @@ def picture(result: Mapping[str, Any], path: Path) -> None:
     figure, grid = plt.subplots(len(cases), 2, figsize=(11, 3 * len(cases)), layout="constrained", squeeze=False)
     for (case, contenders), (left, right) in zip(cases.items(), grid, strict=True):
         for axes, times, label in (
-            (left, {name: one.solved_at_s for name, one in contenders.items()}, "wall-clock seconds of a seed"),
+            (left, {name: one.solved_at_s for name, one in contenders.items()}, SECONDS),
             (right, {name: one.solved_at_step for name, one in contenders.items()}, "environment steps"),
         ):
             axes.set(xlabel=label, ylabel="share of seeds solved", ylim=(0, 1.03), title=case)

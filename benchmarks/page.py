@@ -23,8 +23,13 @@ HEAD = """# Benchmarks
 
 Made by `python -m benchmarks.page` from `benchmarks/results/*.json`, which `make bench` (ours and the limits of the
 machine) and `make bench-peers` (the peers too) write. Every contender runs in a process of its own; they take turns,
-case after case, and a figure is the median over the turns with half the range beside it. Compilation and the first bout
-are not timed. Compare figures within a table only: the next hour, or another machine, gives others.
+case after case, and a figure is the median over the turns with half the range beside it. Compilation is not timed, but
+for whole commands. A ratio is of two medians, with the smallest and the largest of the turns behind it. Compare figures
+within a table only: the next hour, or another machine, gives others.
+
+Peers are at our settings, as far as they have them. In `dqn` stable-baselines3, sbx and rejax run Adam without AMSGrad,
+which is less work, and sbx gives all hidden layers the width of the first, which is more. Peers that train one agent
+use one core where no more is said, those that train many use all.
 """
 
 

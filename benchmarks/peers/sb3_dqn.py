@@ -1,8 +1,7 @@
 """Stable-Baselines3's DQN on CartPole-v1: updates per second of one training, and trainings until they are solved.
 
 For updates per second the clock runs over a training that has started to learn; updates are those that the library
-counts. In the peer's favour PyTorch uses one thread, as its layers are too small to gain from a second, and nothing is
-logged or evaluated.
+counts. PyTorch uses one thread. In the peer's favour nothing is logged or evaluated.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A bout is one call of the peer's own loop: one seed, or a few where it trains them together. The seed under way when the
 time is over is finished, so that short trainings are not preferred: the number of bouts is then a stopping time, and
-by Wald's identity their seconds over their number are right on average.
+their seconds over their number have a bias of the order of one over that number (Wald's identity is about their sum).
 
 A peer's file offers ``solver(numbers, is_solved, *more)``, which prepares and compiles, and returns
 ``train(first seed)``, which returns (solved, environment steps) of each seed that it trained; ``numbers`` are the
