@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import beside, flatness
-from jaxq import flags
+from benchmarks import beside, bounds, flatness
+from jaxq import flags, streams
 from jaxq.bench import command, contest, report, solved
 from jaxq.bench.suites import Suite
 
@@ -32,12 +32,12 @@ def figure(row: dict[str, Any]) -> float:
 
 
 def ratios(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """The ratios of a suite's result, each with its bar and goal, and those of its turns; None where a contender has no
-    figure."""
+    """The ratios of a suite's result, each with its bar and goal, and those of its turns; None where there
+    is none, with what is ``missing``."""
 
     def row_of(name: str, case: str | None) -> dict[str, Any] | None:
         """A contender's row of that case, of its best where that is None."""
-        rows = [row for row in result["rows"] if row["contender"] == name and row["median"] and figure(row)]
+        rows = [row for row in result["rows"] if row["contender"] == name and row["median"]]
         return max((row for row in rows if case in (None, row["case"])), key=lambda row: row["median"], default=None)
 
     made = []
@@ -45,25 +45,32 @@ def ratios(result: dict[str, Any]) -> list[dict[str, Any]]:
         if bar.suite != result["suite"] or not any(row["contender"] == bar.other for row in result["rows"]):
             continue
         ours, other = row_of(bar.ours, bar.case), row_of(bar.other, bar.case)
-        ratio, turns = None, None
+        ratio, turns, missing = None, None, "no figure"
         if ours and other:
-            ratio = figure(ours) / figure(other)
-            turns = [mine / theirs for mine, theirs in zip(ours["rates"], other["rates"], strict=False)]
-        made.append({**vars(bar), "ratio": ratio, "turns": turns})
+            ratio, missing = (figure(ours) / figure(other), None) if figure(other) else (None, "the other solved none")
+            if ratio and solved.trainings(ours) is None:
+                turns = [mine / theirs for mine, theirs in zip(ours["rates"], other["rates"], strict=False)]
+        made.append({**vars(bar), "ratio": ratio, "turns": turns, "missing": missing})
     return made
 
 
 def times(row: dict[str, Any]) -> str:
     """A ratio with the smallest and the largest of those of the turns, as text."""
     if row["ratio"] is None:
-        return "no figure"
-    spread = f" [{min(row['turns']):.3g}, {max(row['turns']):.3g}]" if len(row["turns"]) > 1 else ""
-    return f"{row['ratio']:.3g}{spread}"
+        return row["missing"]
+    turns = row["turns"] or ()
+    spread = f" [{report.digits(min(turns))}, {report.digits(max(turns))}]" if len(turns) > 1 else ""
+    return f"{report.digits(row['ratio'])}{spread}"
 
 
 def judged(result: dict[str, Any]) -> dict[str, Any]:
-    """A suite's result with its ratios and how flat it is."""
-    return {**result, "ratios": ratios(result), "flatness": flatness.flatness(result)}
+    """A suite's result with its ratios, how flat it is and what is bounded."""
+    return {
+        **result,
+        "ratios": ratios(result),
+        "flatness": flatness.flatness(result),
+        "bounds": bounds.bounds(result),
+    }
 
 
 def sentence(row: dict[str, Any]) -> str:
@@ -84,13 +91,13 @@ def main(words: Sequence[str] | None = None) -> int:
     root = str(Path(__file__).parent.parent)
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH", "")]))
     try:
-        options = flags.read(parser, sys.argv[1:] if words is None else words, "python -m benchmarks")
-        chosen = command.chosen(options.suites)
-        command.check(options.cases, chosen)
-    except (flags.UsageError, ValueError) as error:
+        options, suites = command.read(parser, sys.argv[1:] if words is None else words, "python -m benchmarks")
+    except flags.UsageError as error:
         print(f"python -m benchmarks: error: {error}", file=sys.stderr)
         return 2
     whole = options.cases is options.repeats is options.seconds is None
+    ours = {contender.name for suite in suites for contender in suite.contenders}
+    failed = []
 
     def extra(suite: Suite) -> list[contest.Contender]:
         return [*beside.LIMITS.get(suite.name, ()), *(beside.PEERS_OF.get(suite.name, ()) if options.peers else ())]
@@ -98,22 +105,31 @@ def main(words: Sequence[str] | None = None) -> int:
     def keep(result: dict[str, Any]) -> None:
         result = judged(result)
         told = [*map(sentence, result["ratios"]), *(flatness.sentence(row, result) for row in result["flatness"])]
-        for line in told:
+        for line in [*told, *map(bounds.sentence, result["bounds"])]:
             print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
-        if whole:
+        if any(row["error"] and row["contender"] in ours for row in result["rows"]):
+            failed.append(result["suite"])
+            print("not kept: one of ours failed", file=sys.stderr)
+        elif whole:
             RESULTS.mkdir(exist_ok=True)
             path = RESULTS / f"{result['suite']}.json"
-            path.write_text(json.dumps(result, indent=1) + "\n")
+            made = path.with_suffix(".tmp")
+            made.write_text(json.dumps(result, indent=1) + "\n")
+            made.replace(path)
             print(path, file=sys.stderr)
         else:
             print("not kept: only whole suites are, without --cases, --repeats and --seconds", file=sys.stderr)
 
     try:
-        command.run(options, extra, keep)
+        with streams.guarded():
+            command.run(suites, options, extra, keep)
     except KeyboardInterrupt:
-        print("interrupted; suites that ended are kept", file=sys.stderr)
+        print(f"interrupted{'; suites that ended are kept' if whole else ''}", file=sys.stderr)
         return 130
-    return 0
+    except streams.StdoutError as error:
+        print(f"python -m benchmarks: error: {error}", file=sys.stderr)
+        return 1
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":

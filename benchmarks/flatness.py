@@ -12,13 +12,16 @@ from jaxq.bench import report
 #: What is compared: medians, medians divided by their case, or a note of that name.
 RATE, SHARE, MEMORY = "rate", "rate / case", "first_peak_mib"
 
-CAPTION = """Smallest over largest is 1 where nothing changes along the axis; cases that are too few for all cores do
-not count. Memory is the peak of a case's first bout, fewer lanes before more."""
+CAPTION = (
+    "Smallest over largest is 1 where nothing changes along the axis; cases that are too few for all cores do not"
+    " count."
+)
+OF_MEMORY = " Memory is the peak of a case's first bout, fewer lanes before more."
 
 
 @dataclass(frozen=True)
 class Flat:
-    """A quantity of a contender over its cases from ``since`` on; ``least`` and ``goal`` as in ``beside.Bar``.
+    """A quantity of a contender over its cases; ``least`` and ``goal`` as in ``beside.Bar``.
 
     Cases smaller than the ``slots`` in their notes do not count: they leave cores idle.
     """
@@ -28,11 +31,10 @@ class Flat:
     quantity: str = RATE
     least: float | None = None
     goal: float | None = None
-    since: int = 0
 
 
 FLAT = [
-    Flat("dqn", "jaxq", least=0.75, goal=0.85, since=8),
+    Flat("dqn", "jaxq", least=0.75, goal=0.85),
     Flat("scaling-lanes", "jaxq, article-q", goal=0.9),
     Flat("scaling-lanes", "jaxq, article-dqn", goal=0.9),
     Flat("scaling-lanes", "jaxq, article-q", MEMORY, goal=0.9),
@@ -67,7 +69,7 @@ def figures(result: Mapping[str, Any], flat: Flat) -> dict[int, tuple[float, boo
         case, notes = int(row["case"]), row.get("notes", {})
         value = {RATE: row["median"], SHARE: row["median"] / case}.get(flat.quantity, notes.get(flat.quantity))
         if value:
-            found[case] = value, case >= max(flat.since, notes.get("slots", 0))
+            found[case] = value, case >= notes.get("slots", 0)
     return found
 
 
@@ -97,6 +99,11 @@ def lines(result: Mapping[str, Any]) -> list[list[str]]:
         wanted = [f"{row[key]:g}" if row[key] else "" for key in ("least", "goal")]
         told.append([row["contender"], named(row["quantity"], result), over, value, *wanted])
     return told if len(told) > 1 else []
+
+
+def caption(result: Mapping[str, Any]) -> str:
+    """What stands below the table."""
+    return CAPTION + (OF_MEMORY if any(row["quantity"] == MEMORY for row in result["flatness"]) else "")
 
 
 def alone(result: Mapping[str, Any]) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 
 import matplotlib
 
-from benchmarks import curves, flatness
+from benchmarks import bounds, curves, flatness
 from benchmarks.__main__ import RESULTS, judged, times
 from jaxq.bench import report, solved
 from jaxq.bench.suites import SUITES
@@ -27,9 +27,8 @@ case after case, and a figure is the median over the turns with half the range b
 for whole commands. A ratio is of two medians, with the smallest and the largest of the turns behind it. Compare figures
 within a table only: the next hour, or another machine, gives others.
 
-Peers are at our settings, as far as they have them. In `dqn` stable-baselines3, sbx and rejax run Adam without AMSGrad,
-which is less work, and sbx gives all hidden layers the width of the first, which is more. Peers that train one agent
-use one core where no more is said, those that train many use all.
+Peers are at our settings; what they have not is said below the table. Ours use all cores. PyTorch and
+stable-baselines3 use one where a name says no other number, the tutorial's NumPy loop uses one.
 """
 
 
@@ -50,14 +49,16 @@ def page(results: Mapping[str, Mapping[str, Any]]) -> str:
         parts += [table(lines) for lines in (first, report.notes(result)) if lines]
         if trained:
             parts.append(f"{solved.CAPTION[0].upper()}{solved.CAPTION[1:]}.")
-        if told := solved.remarks(result):
-            parts.append("Not as ours:\n\n" + "\n".join(f"- {line}" for line in told))
+        if told := report.remarks(result):
+            parts.append("What is not as ours:\n\n" + "\n".join(f"- {line}" for line in told))
         if result["ratios"]:
             if trained:
                 parts.append("Trainings solved per second, beside one another:")
             parts.append(table(ratio_rows(result)))
         if flat := flatness.lines(result):
-            parts += [table(flat), flatness.CAPTION]
+            parts += [table(flat), flatness.caption(result)]
+        if bounded := bounds.lines(result):
+            parts.append(table(bounded))
         failed = report.errors(result)
         if failed:
             parts.append("Not run:\n\n" + "\n".join(f"- {line}" for line in failed))
@@ -69,7 +70,7 @@ def _measure(result: Mapping[str, Any]) -> str:
     """What the figures of a suite are, and of how much work."""
     seconds = f"{result['seconds']:g} s"
     if solved.table(result):
-        return f"a peer trains seed after seed for at least {seconds}."
+        return f"a peer trains seed after seed for at least {seconds}." if _with_peers(result) else "one turn."
     shown = "seconds" if result.get("whole") else f"{result['unit']} per second"
     return f"{shown}, median of {result['repeats']} turns" + (f" of at least {seconds}." if result["seconds"] else ".")
 

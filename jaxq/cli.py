@@ -72,8 +72,7 @@ def _bench(words: list[str]) -> int:
 
     parser = flags.Parser(prog="jaxq bench", description=COMMANDS["bench"], allow_abbrev=False)
     command.arguments(parser)
-    try:
-        command.run(flags.read(parser, words, "jaxq bench"))
-    except ValueError as error:
-        raise UsageError(str(error)) from None
-    return EXIT_OK
+    options, suites = command.read(parser, words, "jaxq bench")
+    results = command.run(suites, options)
+    failed = any(row["error"] for result in results.values() for row in result["rows"])
+    return EXIT_FAILED if failed else EXIT_OK

@@ -61,6 +61,7 @@ def _machine() -> Manifest:
     return {
         "versions": {name: metadata.version(name) for name in packages} | {"python": platform.python_version()},
         "cpu": machine.processor(),
+        "device": jax.devices()[0].device_kind,
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "jax_settings": {name: jax.config.values[name] for name in _SETTINGS},
     }

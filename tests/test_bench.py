@@ -74,6 +74,9 @@ jax.devices = lambda: [types.SimpleNamespace(platform={name!r}, device_kind={kin
         "gpu": "NVIDIA H200",
     }
     assert report.machine(result).endswith("; gpu on NVIDIA H200")
+    (tmp_path / "asks.py").write_text(plain.read_text() + "def device():\n    return 'NVIDIA H200'\n")
+    asks = contest.contest([Contender("asks", str(tmp_path / "asks.py"), ("1",))], repeats=1, seconds=0)
+    assert report.machine(asks).endswith("; asks on NVIDIA H200")
     assert report.machine(contest.contest(contenders[:2], repeats=1, seconds=0)).endswith(result["machine"]["system"])
 
 
@@ -103,8 +106,6 @@ def test_contenders_take_turns_and_cases_are_prepared_once(module):
         assert row["spread"] == (max(row["rates"]) - min(row["rates"])) / row["median"]
     # A bout makes as many units as cases were prepared, so a second preparation would be seen.
     assert [row["notes"] for row in rows.values()] == [{"units": 1.0}, {"units": 2.0}, {"units": 10.0}]
-    assert contest.best(result, "one") == max(rows["one", case]["median"] for case in "ab")
-    assert contest.best(result, "nobody") is None
     assert result["versions"]["one"].keys() == {"python", "numpy"}
     json.dumps(result, allow_nan=False)
 
@@ -196,7 +197,7 @@ def test_a_module_may_do_its_own_warm_up_and_tell_more(tmp_path):
     )
     result = contest.contest([Contender("one", str(path), ("a",))], repeats=2, seconds=0)
     assert rows_of(result)["one", "a"]["notes"] == {"runs": 2}
-    assert report.notes(result) == [["last run", "runs"], ["a, one", "2"]]
+    assert report.notes(result) == [["notes", "runs"], ["a, one", "2"]]
     assert report.notes({"rows": []}) == []
 
 
@@ -252,6 +253,7 @@ def test_the_sweep_contender_runs_the_command_cold_and_warm(monkeypatch):
     for cache, cached in (("cold", 0), ("warm", 1)):
         assert sweep.prepare("small", cache)() == 1.0
         assert sweep.notes("small")["cached"] == cached
+        assert sweep.device() == (None if jax.default_backend() == "cpu" else jax.devices()[0].device_kind)
     monkeypatch.setitem(sweep.COMMANDS, "wrong", ["q-learning", "--gamma", "2"])
     with pytest.raises(RuntimeError, match="gamma"):
         sweep.prepare("wrong", "cold")()
@@ -279,6 +281,36 @@ def test_rates_read_well():
     assert report.rate(None) == "-"
 
 
+def test_what_a_contender_tells_beside_numbers(tmp_path):
+    path = tmp_path / "contender.py"
+    path.write_text(
+        "def tools():\n    return {'compiler': 'cc 1'}\ndef prepare(case):\n    return lambda: 1.0\n"
+        "def notes(case):\n    return {'differs': 'half the work', 'runs': 1234}\n"
+    )
+    result = contest.contest([Contender(name, str(path), ("a", "b")) for name in ("x", "y")], repeats=1, seconds=0)
+    assert result["versions"]["x"]["compiler"] == "cc 1"
+    assert report.notes(result)[:2] == [["notes", "runs"], ["a, x", "1,234"]]
+    assert report.remarks(result) == ["x; y: half the work."]
+
+
+def test_a_contender_that_is_left_cleans_up(tmp_path):
+    """As after Ctrl-C: its files are gone, whether it waits for a request or is at work."""
+    path, made = tmp_path / "contender.py", tmp_path / "made"
+    path.write_text(
+        f"import atexit, pathlib, time\nmade = pathlib.Path({str(made)!r})\n"
+        "def prepare(case):\n    made.touch()\n    atexit.register(made.unlink)\n    return lambda: 1.0\n"
+    )
+
+    def stop(done, *_):
+        if done:
+            assert made.exists()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        contest.contest([Contender("x", str(path), ("a", "b"))], repeats=1, seconds=0, on_turn=stop)
+    assert not made.exists()
+
+
 def test_bench_prints_a_table_and_json(capsys, monkeypatch, module):
     small = suites.Suite("env", "a test", "steps", "environments", [Contender("one", module, ("1", "2"))], 1, 0.0)
     monkeypatch.setitem(suites.SUITES, "env", small)
@@ -292,6 +324,15 @@ def test_bench_prints_a_table_and_json(capsys, monkeypatch, module):
     assert [row["case"] for row in result["rows"]] == ["1", "2"]
     assert result["repeats"] == 2
     assert result["machine"]["cores"] >= 1
+
+
+def test_bench_fails_when_one_of_ours_does(capsys, monkeypatch, module):
+    small = suites.Suite("env", "a test", "steps", "environments", [Contender("one", module, ("1", "bad"))], 1, 0.0)
+    monkeypatch.setitem(suites.SUITES, "env", small)
+    assert main(["bench", "env"]) == 1
+    told = capsys.readouterr()
+    assert told.err == "not run: one: ValueError: first line second line\n"
+    assert main(["bench", "env", "--cases", "1"]) == 0
 
 
 def test_suites_that_ended_before_ctrl_c_are_printed(capsys, monkeypatch, module):

@@ -132,12 +132,31 @@ def test_a_whole_suite_is_kept_as_it_ends(small, monkeypatch, capsys):
 
     monkeypatch.setattr(command, "contest", contest_or_ctrl_c)
     assert benchmarks.main(["env", "tabular", "--quiet"]) == 130
+    assert "interrupted; suites that ended are kept" in (told := capsys.readouterr()).err
     assert ran == [["jaxq", "a limit"]] * 2
     assert [path.name for path in small.iterdir()] == ["env.json"]
     kept = json.loads((small / "env.json").read_text())
     assert len(kept["rows"]) == 3
     assert kept["ratios"] == kept["flatness"] == []
-    assert "env: a test" in capsys.readouterr().out
+    assert "env: a test" in told.out
+
+
+def test_a_suite_in_which_one_of_ours_fails_replaces_nothing(small, monkeypatch, capsys):
+    assert benchmarks.main(["env", "--quiet"]) == 0
+    before = (small / "env.json").read_text()
+    bad = small.parent / "bad.py"
+    bad.write_text("def prepare(case):\n    raise ValueError('no')\n")
+    mine = Contender("jaxq", str(bad), ("1",))
+    monkeypatch.setitem(suites.SUITES, "env", suites.Suite("env", "a test", "steps", "lanes", [mine], 1, 0.0))
+    assert benchmarks.main(["env", "--quiet"]) == 1
+    assert "not kept: one of ours failed" in capsys.readouterr().err
+    assert (small / "env.json").read_text() == before
+    assert [path.name for path in small.iterdir()] == ["env.json"]
+    monkeypatch.setitem(beside.LIMITS, "env", [Contender("a limit", str(bad), ("1",))])
+    good = Contender("jaxq", str(small.parent / "contender.py"), ("1",))
+    monkeypatch.setitem(suites.SUITES, "env", suites.Suite("env", "a test", "steps", "lanes", [good], 1, 0.0))
+    assert benchmarks.main(["env", "--quiet"]) == 0  # a limit or a peer that fails is told, and kept
+    assert "ValueError: no" in (small / "env.json").read_text()
 
 
 def test_a_part_of_a_suite_replaces_nothing(small, capsys):

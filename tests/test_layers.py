@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parent.parent / "jaxq"
 #: a pair below.
 LAYERS = [
     ["types", "families", "suggest", "cpu", "machine", "run_files", "streams", "bench.worker"],
-    ["bench.contest", "bench.report", "bench.memory", "bench"],
+    ["bench.contest", "bench.report", "bench.memory", "bench.affinity", "bench"],
     ["prng", "elementary", "rules", "policies", "presets"],
     ["schedules"],
     [

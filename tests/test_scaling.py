@@ -1,13 +1,18 @@
 """The suites of ``scaling``: what they count, the memory that they tell, and how flat their results are."""
 
+import os
+import sys
+import threading
+from contextlib import nullcontext
+
 import jax
 import numpy as np
 import pytest
 
-from benchmarks import beside, flatness, page
+from benchmarks import beside, bounds, flatness, page
 from benchmarks.limits import products
 from jaxq import lanes, machine
-from jaxq.bench import command, equal_lanes, full_replay, memory, scaling, suites
+from jaxq.bench import affinity, command, equal_lanes, full_replay, memory, scaling, suites
 from jaxq.cli import main
 
 
@@ -57,6 +62,51 @@ def test_any_number_of_cores_shares_the_same_lanes_evenly(runs, monkeypatch):
     for cores, counts in ((1, (1,)), (2, (1, 2)), (8, (1, 2, 4, 8))):
         monkeypatch.setattr(machine, "cores", lambda cores=cores: cores)
         assert machine.core_counts() == counts
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads can be held to a core on Linux alone")
+def test_a_run_on_one_core_has_no_other(monkeypatch):
+    """Threads that were there before and those that begin inside, and all of them are free again afterwards."""
+    allowed, go, seen = os.sched_getaffinity(0), threading.Event(), []
+
+    def old():
+        go.wait()
+        seen.append(os.sched_getaffinity(0))
+
+    before = threading.Thread(target=old)
+    before.start()
+    with pytest.raises(RuntimeError), affinity.on(1):  # noqa: PT012
+        go.set()
+        before.join()
+        inside = threading.Thread(target=lambda: seen.append(os.sched_getaffinity(0)))
+        inside.start()
+        inside.join()
+        raise RuntimeError
+    assert seen == [{min(allowed)}] * 2
+    assert os.sched_getaffinity(0) == allowed
+
+    held = []
+    monkeypatch.setattr(equal_lanes, "prepare", lambda *a, **k: lambda: held.append(os.sched_getaffinity(0)) or 1.0)
+    scaling.prepare("1", "cores", "article-q")()
+    assert held[-1] == {min(allowed)}
+    scaling.prepare("16", "lanes", "article-q")()
+    assert held[-1] == allowed
+
+
+def test_an_accelerators_lanes_are_held_to_no_core(monkeypatch):
+    held = []
+    monkeypatch.setattr(scaling, "_notes", {})
+    monkeypatch.setattr(affinity, "on", lambda cores: held.append(cores) or nullcontext())
+    monkeypatch.setattr(equal_lanes, "prepare", lambda *a, **k: lambda: 1.0)
+    assert affinity.not_held("cpu") is None or sys.platform != "linux"
+    scaling.prepare("1", "cores", "article-q")()
+    assert held == [1]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    for axis in ("lanes", "width"):
+        scaling.prepare("16", axis, "article-dqn")()
+    assert held == [1]
+    scaling.prepare("2", "cores", "article-q")()
+    assert scaling.notes("2")["differs"].startswith("workers, not cores")
 
 
 def test_a_case_of_the_network_is_the_width_of_both_layers(runs, monkeypatch):
@@ -188,3 +238,22 @@ def test_the_page_tells_how_flat_a_suite_is():
     text = page.page({"scaling-replay": result})
     assert "| jaxq | updates per second | 1,000 to 10,000 transitions | 0.95 | 0.9 |  |" in text
     assert beside.LIMITS["scaling-network"][0].cases == suites.WIDTHS
+
+
+def test_bounds_tell_seconds_and_notes():
+    def row(contender, case, rate, share):
+        return {"contender": contender, "case": case, "median": rate, "rates": [rate], "notes": {"useful_share": share}}
+
+    many = "article-q, 1024 seeds"
+    result = {"suite": "sweep", "rows": [row(bounds.FULL, many, 0.25, 0.7), row(bounds.EMPTY, many, 0.2, 0.6)]}
+    found = {(one["contender"], one["case"], one["quantity"]): one["value"] for one in bounds.bounds(result)}
+    assert found[bounds.FULL, many, bounds.SECONDS] == 4
+    assert found[bounds.FULL, many, bounds.USEFUL] == 0.7
+    assert found[bounds.EMPTY, many, bounds.SECONDS] == 5
+    assert found[bounds.FULL, "article-q, 1 seed", bounds.SECONDS] is None
+    lines = bounds.lines({**result, "bounds": bounds.bounds(result)})
+    assert [many, bounds.FULL, bounds.WORDS[bounds.USEFUL], "0.7", "at least 0.9"] in lines
+    assert ["article-q, 1 seed", bounds.FULL, bounds.WORDS[bounds.SECONDS], "no figure", "at most 3"] in lines
+    assert bounds.lines({"suite": "env", "rows": []}) == []
+    cases = {(contender.name, case) for contender in suites.SUITES["sweep"].contenders for case in contender.cases}
+    assert {(bound.contender, bound.case) for bound in bounds.BOUNDS} <= cases

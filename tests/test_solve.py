@@ -143,7 +143,7 @@ class Model:
 
 
 def test_the_callback_stops_stable_baselines_where_it_is_solved(monkeypatch):
-    torch = types.SimpleNamespace(set_num_threads=lambda count: None)
+    torch = types.SimpleNamespace(set_num_threads=lambda count: None, optim=types.SimpleNamespace(AdamW="AdamW"))
     callbacks = types.SimpleNamespace(BaseCallback=object)
     library = types.SimpleNamespace(DQN=Model)
     for name, module in (
@@ -162,6 +162,18 @@ def test_the_callback_stops_stable_baselines_where_it_is_solved(monkeypatch):
     assert Model.made["exploration_fraction"] * numbers["max_env_steps"] == numbers["epsilon_decay"]
     ends = [Model.made["learning_rate"](left) for left in (1.0, 0.0)]
     assert ends == [numbers["learning_rate"], numbers["learning_rate_end"]]
+    optimiser = {"amsgrad": True, "weight_decay": numbers["weight_decay"]}
+    assert Model.made["policy_kwargs"] == {
+        "net_arch": numbers["hidden"],
+        "optimizer_class": "AdamW",
+        "optimizer_kwargs": optimiser,
+    }
+    assert sb3.step_sizes(numbers | {"learning_rate_end": None}) == (numbers["learning_rate"],) * 2
+    zoo = peer("sb3_zoo_dqn")
+    assert zoo.solver(numbers, lambda lengths: False)(0) == [(False, 270)]
+    # epsilon falls over 16 % of 50,000 env steps, as published
+    assert Model.made["exploration_fraction"] * numbers["max_env_steps"] == pytest.approx(8000)
+    assert Model.made["learning_rate"] == 2.3e-3
 
 
 def test_rejaxs_judge_follows_each_environment_across_looks():

@@ -2,8 +2,10 @@
 
 import pytest
 
+from benchmarks import __main__ as benchmarks
 from benchmarks import beside, curves, page
 from jaxq.bench import report, solved
+from jaxq.bench.contest import Contender
 
 
 def row(contender, case, together, seconds, env_steps, won, differs=None):
@@ -56,9 +58,9 @@ def test_the_table_tells_every_seed_and_who_did_not_run(result):
     assert peers[6].startswith("5.5 [")
     assert failed == ["another", "dqn", "", "not run", "", "", ""]
     assert other[1:] == ["article-q", "1", "100 % [20.7, 100]", "70", "0.5", "0.5"]
-    assert solved.remarks(result) == ["a peer: its own loss."]
+    assert report.remarks(result) == ["a peer: its own loss."]
     twin = {**result["rows"][2], "contender": "its twin"}
-    assert solved.remarks({"rows": [*result["rows"], twin]}) == ["a peer; its twin: its own loss."]
+    assert report.remarks({"rows": [*result["rows"], twin]}) == ["a peer; its twin: its own loss."]
     assert report.notes(result) == []
     assert (
         solved.table({"axis": "lanes", "rows": [failed_row for failed_row in result["rows"] if failed_row["error"]]})
@@ -69,6 +71,7 @@ def test_the_table_tells_every_seed_and_who_did_not_run(result):
 def test_the_page_and_the_picture(result, tmp_path, monkeypatch):
     bars = [beside.Bar("solve", "jaxq, seeds together", other, case="dqn") for other in ("a peer", "another")]
     monkeypatch.setattr(beside, "BARS", bars)
+    monkeypatch.setitem(beside.PEERS_OF, "solve", [Contender("a peer", "", ())])
     text = page.page({"solve": result})
     ratio = (3 / 9) / (8 / 55)  # solved trainings per second
     assert f"| jaxq, seeds together | a peer | dqn | {ratio:.3g} |" in text
@@ -76,10 +79,23 @@ def test_the_page_and_the_picture(result, tmp_path, monkeypatch):
     assert "| a peer | dqn | 10 | 80 % [49, 94.3] |" in text
     assert "![solve](benchmarks/solve.png)" in text
     assert "seed after seed for at least 600 s" in text
+    monkeypatch.setitem(beside.PEERS_OF, "solve", [])
+    assert "seed after seed" not in page.page({"solve": result})
     assert "- a peer: its own loss." in text
     assert "- another: no such library" in text
     curves.picture(result, tmp_path / "solve.png")
     assert (tmp_path / "solve.png").stat().st_size > 5000
+
+
+def test_a_peer_that_solved_nothing_is_told_from_one_that_did_not_run(result, monkeypatch):
+    bars = [beside.Bar("solve", "jaxq, seeds together", other, case="dqn") for other in ("a peer", "another")]
+    monkeypatch.setattr(beside, "BARS", bars)
+    told = result["rows"][2]["notes"]["trainings"]
+    told["solved"] = [False] * len(told["solved"])
+    peer, another = benchmarks.judged(result)["ratios"]
+    assert (peer["ratio"], benchmarks.times(peer)) == (None, "the other solved none")
+    assert (another["ratio"], benchmarks.times(another)) == (None, "no figure")
+    assert peer["turns"] is None  # rates count seeds, solved or not
 
 
 def test_a_curve_ends_at_the_share_of_all_seeds(result):

@@ -6,8 +6,9 @@ ctypes lets go of the interpreter lock, so a thread per core runs its share of t
 from __future__ import annotations
 
 import ctypes
+import functools
 import itertools
-import os
+import platform
 import shutil
 import subprocess
 import tempfile
@@ -17,13 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxq import machine
 from jaxq.bench.tabular import UPDATES
 
 PACKAGES = ("numpy",)
 # What -ffast-math stands for, part by part: that flag itself links code that switches subnormal numbers off in the
 # whole process which loads the library.
 FAST = "-fno-math-errno -fno-trapping-math -fno-signed-zeros -fassociative-math -freciprocal-math -ffinite-math-only"
-FLAGS = ("-O3", "-march=native", "-mprefer-vector-width=512", *FAST.split(), "-shared", "-fPIC")
+WIDE = ("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()
+FLAGS = ("-O3", "-march=native", *WIDE, *FAST.split(), "-shared", "-fPIC")
 BOUT = 2**22
 BLOCK = 64
 LANE_BYTES = 36 * 4 + 4 * 4 + 2 * 4 + 8
@@ -35,7 +38,7 @@ def prepare(case: str, what: str) -> Callable[[], float]:
     Raises RuntimeError without a C compiler.
     """
     count = int(case)
-    workers = min(len(os.sched_getaffinity(0)), count)
+    workers = min(machine.cores(), count)
     shares = [len(range(i, count, workers)) for i in range(workers)]
     calls = [_env(share) if what == "env" else _table(share, i) for i, share in enumerate(shares)]
     pool = ThreadPoolExecutor(workers)
@@ -46,15 +49,30 @@ def prepare(case: str, what: str) -> Callable[[], float]:
     return bout
 
 
-def compile_c(name: str) -> ctypes.CDLL:
-    """The shared library of ``name``.c beside this file."""
-    compiler = next((path for name in ("gcc", "cc") if (path := shutil.which(name))), None)
-    if compiler is None:
+def compiler() -> str:
+    """The path of a C compiler; raises RuntimeError where there is none."""
+    found = next((path for name in ("gcc", "cc") if (path := shutil.which(name))), None)
+    if found is None:
         raise RuntimeError("no C compiler: install gcc")
+    return found
+
+
+def tools() -> dict[str, str]:
+    """The compiler with its version, and its flags."""
+    said = subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
+    return {"compiler": said.splitlines()[0], "with": " ".join(FLAGS)}
+
+
+@functools.cache
+def compile_c(name: str) -> ctypes.CDLL:
+    """The shared library of ``name``.c beside this file; raises RuntimeError with what the compiler says against it."""
     with tempfile.TemporaryDirectory() as folder:
         built = Path(folder) / f"{name}.so"
         source = Path(__file__).with_name(f"{name}.c")
-        subprocess.run([compiler, *FLAGS, "-o", str(built), str(source), "-lm"], check=True)
+        words = [compiler(), *FLAGS, "-o", str(built), str(source), "-lm"]
+        done = subprocess.run(words, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(f"{words[0]}: {done.stderr.strip() or done.returncode}")
         return ctypes.CDLL(str(built))
 
 

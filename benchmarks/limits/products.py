@@ -6,10 +6,10 @@ products of the shapes of the largest layer, in groups of four lanes, a thread p
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+from jaxq import machine
 from jaxq.bench.scaling import NETWORK_LANES
 
 PACKAGES = ("jax", "jaxlib")
@@ -27,10 +27,12 @@ def prepare(case: str, setting: str = "article") -> Callable[[], float]:
     import jax
     import jax.numpy as jnp
 
+    if jax.default_backend() != "cpu":
+        raise RuntimeError("a ceiling of CPUs alone: groups of four lanes, a thread per core")
     count = int(case)
     batch, inputs, outputs = (SHAPES["article"][0], count, count) if setting == "width" else SHAPES[setting]
     groups = -(-(NETWORK_LANES if setting == "width" else count) // GROUP)
-    workers = min(len(os.sched_getaffinity(0)), groups)
+    workers = min(machine.cores(), groups)
     shapes = {"x": (batch, inputs), "w": (inputs, outputs), "v": (inputs, outputs), "g": (batch, outputs)}
     arrays = {
         name: jax.random.normal(jax.random.key(i), (GROUP, *shape)) / 12

@@ -38,3 +38,9 @@ def prepare(case: str, kind: str = "vector") -> Callable[[], float]:
         return float(calls * count)
 
     return bout
+
+
+def notes(case: str) -> dict[str, str]:
+    """What it runs on."""
+    del case
+    return {"differs": "one core: it has no threads"}

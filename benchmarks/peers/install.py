@@ -4,8 +4,8 @@
 
 ``requirements.txt`` goes into ``.venv-peers`` and ``requirements-NAME.txt`` into ``.venv-peers-NAME``, made with the
 Python that runs this file, of built packages only. NAME is the folder of an environment; without any, all are made.
-Every requirement gets a line that says whether it is there and can be imported, or why not. The exit status is 1 when
-none is.
+Every requirement gets a line that says whether it is there and can be imported, or why not; an environment that is
+whole already is left as it is. The exit status is 1 when nothing can be used.
 """
 
 from __future__ import annotations
@@ -46,19 +46,46 @@ def requirements(file: Path) -> list[str]:
 
 
 def install(folder: str, file: Path) -> bool:
-    """Makes an environment anew and says of each requirement what came of it; returns whether any can be used."""
+    """Makes an environment, unless it is there as wanted; returns whether anything in it can be used.
+
+    One that was there before comes back where nothing of the new one can be used, as without a network.
+    """
     path = ROOT / folder
-    shutil.rmtree(path, ignore_errors=True)
+    before, stamp = path.with_name(f"{folder}.before"), path / "made-of.txt"
+    wanted = f"python {sys.version}\n{file.read_text()}"
+    if before.exists():  # the last run was interrupted: what it was making is not whole
+        shutil.rmtree(path, ignore_errors=True)
+        before.rename(path)
+    if stamp.is_file() and stamp.read_text() == wanted:
+        print(f"{folder}: is there", flush=True)
+        return True
+    if path.exists():
+        path.rename(before)
+    usable, complete = fill(path, requirements(file))
+    if complete:
+        stamp.write_text(wanted)
+    if not usable and before.exists():
+        shutil.rmtree(path, ignore_errors=True)
+        before.rename(path)
+        print(f"{folder}: what was there before is kept", flush=True)
+        return True
+    shutil.rmtree(before, ignore_errors=True)
+    return usable
+
+
+def fill(path: Path, wanted: list[str]) -> tuple[bool, bool]:
+    """A new environment; says of each requirement what came of it, and returns whether any can be used, and all."""
+    folder = path.name
     venv.create(path, with_pip=True)
     python = path / ("Scripts" if sys.platform == "win32" else "bin") / "python"
     pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:"]
-    wanted, reasons = requirements(file), {}
+    reasons = {}
     if run(pip + wanted):
         for one in wanted:  # what cannot be had must not keep the others away
             others = path / "others.txt"
             others.write_text("\n".join(set(wanted) - {one}))
             reasons[one] = run(pip + ["-c", str(others), one])
-    usable = False
+    usable, complete = False, True
     for one in wanted:
         said = "installed"
         if reasons.get(one):
@@ -66,8 +93,9 @@ def install(folder: str, file: Path) -> bool:
         elif broken := run([str(python), "-c", PROBE, one.split("==")[0]]):
             said = f"NOT USABLE: {broken}"
         usable |= said == "installed"
+        complete &= said == "installed"
         print(f"{folder}: {one}: {said}", flush=True)
-    return usable
+    return usable, complete
 
 
 def run(words: list[str]) -> str:

@@ -1,20 +1,17 @@
 """Rejax's DQN on gymnax's CartPole-v1, seeds in one jitted ``vmap`` on all cores: updates per second, and trainings
 until they are solved.
 
-Everything is one compiled program. In the peer's favour nothing is evaluated, and for updates per second double
-Q-learning is off and the clock runs over trainings that have started to learn.
+Everything is one compiled program. In the peer's favour nothing is evaluated, and for updates per second the clock runs
+over trainings that have started to learn.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 PACKAGES = ("rejax", "gymnax", "jax", "jaxlib", "flax", "optax")
-
-SETTINGS = Path(__file__).with_name("dqn_settings.json")
 
 #: Updates of a seed, so that those of a bout together make ``BOUT``, as far as that allows.
 UPDATES, BOUT = range(32, 1024), 2**12
@@ -22,21 +19,26 @@ UPDATES, BOUT = range(32, 1024), 2**12
 #: Environment steps between two looks at the episodes of a training, which cannot be stopped from within.
 LOOK = 1000
 
+#: How its agent is another in all that is measured.
+AGENT = (
+    "no AMSGrad, no weight decay, no clipping, which is less work; squared loss; as many environments as ours makes"
+    " steps between updates"
+)
 DIFFERS = (
-    f"it cannot stop from within, so it is trained in pieces of {LOOK:,} env steps, each followed by a look at its"
-    " episodes; as many environments as ours makes steps between updates; no AMSGrad; an episode that is cut at its"
-    " limit counts as a fall; uniform actions until updates start; seeds that run together wait for the last one"
+    f"{AGENT}; it cannot stop from within, so it is trained in pieces of {LOOK:,} env steps, each followed by a look at"
+    " its episodes; an episode that is cut at its limit counts as a fall; uniform actions until updates start; seeds"
+    " that run together wait for the last one"
 )
 
 
-def prepare(case: str, setting: str = "article") -> Callable[[], float]:
-    """``case`` seeds of ``setting`` (a name in dqn_settings.json). Units: updates of all seeds together."""
+def prepare(case: str, settings: str) -> Callable[[], float]:
+    """``case`` seeds of our ``settings``, as JSON. Units: updates of all seeds together."""
     import jax
 
-    count, numbers = int(case), json.loads(SETTINGS.read_text())[setting]
+    count, numbers = int(case), json.loads(settings)
     period = numbers["steps_per_update"]
     updates = min(max(BOUT // count, UPDATES.start), UPDATES.stop)
-    dqn = algorithm(numbers, updates * period, ddqn=False)
+    dqn = algorithm(numbers, updates * period)
     train = jax.jit(jax.vmap(lambda state: dqn.train(train_state=state)[0]), donate_argnums=0)
     state = jax.jit(jax.vmap(dqn.init_state))(jax.random.split(jax.random.key(0), count))
     done = 0
@@ -53,6 +55,12 @@ def prepare(case: str, setting: str = "article") -> Callable[[], float]:
     return bout
 
 
+def notes(case: str) -> dict[str, str]:
+    """How the work that ``prepare`` measures is another than ours."""
+    del case
+    return {"differs": AGENT}
+
+
 def solver(numbers: Mapping[str, Any], is_solved: Callable, together: str = "1") -> Callable[[int], list]:
     """Trainings until they are solved (see ``solve``), ``together`` in one ``vmap`` until the last one is."""
     import jax
@@ -64,14 +72,8 @@ def solver(numbers: Mapping[str, Any], is_solved: Callable, together: str = "1")
     updates = (numbers["max_env_steps"] - numbers["learning_starts"]) // period
     falling = optax.linear_schedule(numbers["learning_rate"], numbers["learning_rate_end"], updates)
     dqn = algorithm(
-        {
-            **numbers,
-            "capacity": numbers["buffer_size"],
-            "learning_rate": falling,
-            "target_period": numbers["target_period"] * period,  # theirs counts env steps
-        },
+        {**numbers, "learning_rate": falling},
         LOOK,
-        ddqn=numbers["double"],
         eps_start=numbers["epsilon_start"],
         eps_end=numbers["epsilon_end"],
         exploration_fraction=numbers["epsilon_decay"] / LOOK,
@@ -133,13 +135,14 @@ def algorithm(numbers: Mapping[str, Any], env_steps: int, **more: Any) -> Any:
         # one update follows a step of each environment
         num_envs=numbers["steps_per_update"],
         num_epochs=1,
-        buffer_size=numbers["capacity"],
+        buffer_size=numbers["buffer_size"],
         fill_buffer=numbers["learning_starts"],
         batch_size=numbers["batch_size"],
         learning_rate=numbers["learning_rate"],
         gamma=numbers["gamma"],
         polyak=1 - numbers["tau"],
-        target_update_freq=numbers["target_period"],
+        target_update_freq=numbers["target_period"] * numbers["steps_per_update"],  # theirs counts env steps
+        ddqn=numbers["double"],
         total_timesteps=env_steps,
         eval_freq=env_steps,
         skip_initial_evaluation=True,

@@ -5,6 +5,7 @@ Its environment and replay are Stable-Baselines3's, outside the compiled update.
 
 from __future__ import annotations
 
+import json
 import runpy
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -20,24 +21,45 @@ DIFFERS = (
 )
 
 
-def prepare(case: str, setting: str = "article") -> Callable[[], float]:
-    """One training of ``setting`` (a name in dqn_settings.json); ``case`` is 1. Units: updates."""
+def prepare(case: str, settings: str) -> Callable[[], float]:
+    """One training of our ``settings``, as JSON; ``case`` is 1. Units: updates."""
     from sbx import DQN
 
-    return runpy.run_path(str(SB3))["throughput"](DQN, case, setting)
+    numbers = json.loads(settings)
+    theirs = runpy.run_path(str(SB3))
+    return theirs["throughput"](DQN, case, theirs["as_ours"](numbers) | {"policy_kwargs": policy(numbers, 1)})
 
 
-def solver(numbers: Mapping[str, Any], is_solved: Callable) -> Callable[[int], list]:
-    """Trainings until they are solved (see ``solve``), with AMSGrad and a falling step size, as ours.
+def notes(case: str) -> dict[str, str]:
+    """How the work that ``prepare`` measures is another than ours."""
+    del case
+    return {
+        "differs": "all hidden layers as wide as the first, which where they differ is more work; no value of the"
+        " gradient is clipped; XLA may use all cores"
+    }
+
+
+def policy(numbers: Mapping[str, Any], updates: int) -> dict[str, Any]:
+    """The network and the optimiser: AMSGrad and weight decay, with a step size that falls over so many updates.
 
     The library reads its own schedule for the step size at the start alone, so the optimiser brings one.
     """
     import optax
+
+    falling = optax.linear_schedule(*runpy.run_path(str(SB3))["step_sizes"](numbers), updates)
+    optimiser = optax.chain(
+        optax.scale_by_amsgrad(),
+        optax.add_decayed_weights(numbers["weight_decay"]),
+        optax.scale_by_learning_rate(falling),
+    )
+    return {"net_arch": numbers["hidden"], "optimizer_class": lambda learning_rate: optimiser}
+
+
+def solver(numbers: Mapping[str, Any], is_solved: Callable) -> Callable[[int], list]:
+    """Trainings until they are solved (see ``solve``)."""
     from sbx import DQN
 
     updates = (numbers["max_env_steps"] - numbers["learning_starts"]) // numbers["steps_per_update"]
-    schedule = optax.linear_schedule(numbers["learning_rate"], numbers["learning_rate_end"], updates)
-    policy = {"net_arch": numbers["hidden"], "optimizer_class": lambda learning_rate: optax.amsgrad(schedule)}
     static: dict[str, Any] = {}
 
     def make(*given: Any, **named: Any) -> Any:
@@ -48,7 +70,7 @@ def solver(numbers: Mapping[str, Any], is_solved: Callable) -> Callable[[int], l
         model.policy.qf_state = state.replace(**static)
         return model
 
-    until_solved = runpy.run_path(str(SB3))["until_solved"]
-    brief = {**numbers, "max_env_steps": 2 * numbers["learning_starts"]}
-    until_solved(make, brief, is_solved, policy_kwargs=policy)(0)  # compiles
-    return until_solved(make, numbers, is_solved, policy_kwargs=policy)
+    theirs = runpy.run_path(str(SB3))
+    arguments = theirs["as_ours"](numbers) | {"policy_kwargs": policy(numbers, updates)}
+    theirs["until_solved"](make, arguments, 2 * numbers["learning_starts"], is_solved)(0)  # compiles
+    return theirs["until_solved"](make, arguments, numbers["max_env_steps"], is_solved)

@@ -1,7 +1,7 @@
 """The tutorial's DQN, PyTorch over Gymnasium: updates per second of one training.
 
 The loop is the one in ``tests/reference/tutorial_dqn.py``, an update per environment step. PyTorch uses
-as many threads as it is told; a second gains it a tenth.
+as many threads as it is told; a second gains it up to a tenth.
 """
 
 from __future__ import annotations

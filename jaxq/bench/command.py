@@ -23,6 +23,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from jaxq import flags
 from jaxq.bench import report, solved
 from jaxq.bench.contest import Contender, contest
 from jaxq.bench.suites import SUITES, Suite, groups
@@ -41,6 +42,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
     parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def read(parser: argparse.ArgumentParser, words: Sequence[str], name: str) -> tuple[argparse.Namespace, list[Suite]]:
+    """The options, and the suites they name; raises UsageError for a suite or a case that there is not as well."""
+    options = flags.read(parser, words, name)
+    try:
+        suites = chosen(options.suites)
+        check(options.cases, suites)
+    except ValueError as error:
+        raise flags.UsageError(str(error)) from None
+    return options, suites
 
 
 def chosen(names: Sequence[str]) -> list[Suite]:
@@ -66,18 +78,16 @@ def check(cases: Sequence[str] | None, suites: Sequence[Suite]) -> None:
 
 
 def run(
+    suites: Sequence[Suite],
     options: argparse.Namespace,
     extra: Callable[[Suite], Sequence[Contender]] = lambda suite: (),
     on_result: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
-    """Runs the suites that the options name, each with ``extra`` contenders beside ours; results by suite.
+    """Runs the suites as the options say, each with ``extra`` contenders beside ours; results by suite.
 
     Tables go to stdout as they come, or with ``--json`` one object at the end, or when interrupted; progress goes to
-    stderr. ``on_result`` is called for every suite as it ends. Raises ValueError, before anything runs, for a suite or
-    a case that there is not.
+    stderr. ``on_result`` is called for every suite as it ends.
     """
-    suites = chosen(options.suites)
-    check(options.cases, suites)
     results: dict[str, Any] = {}
     try:
         _run(suites, options, extra, on_result, results)
@@ -129,7 +139,7 @@ def show(result: dict[str, Any], suite: Suite) -> None:
     print(report.text(trained or report.grid(result, suite.axis)), end="\n\n")
     if told := report.notes(result):
         print(report.text(told), end="\n\n")
-    for line in solved.remarks(result):
+    for line in report.remarks(result):
         print(line)
     sys.stdout.flush()
     _tell_errors(result)

@@ -119,12 +119,6 @@ def contest(
     }
 
 
-def best(result: Mapping[str, Any], contender: str) -> float | None:
-    """The largest median of a contender over its cases; None when it has none."""
-    medians = [row["median"] for row in result["rows"] if row["contender"] == contender and row["median"]]
-    return max(medians, default=None)
-
-
 @contextmanager
 def _process(contender: Contender) -> Iterator[Callable[..., dict[str, Any]]]:
     """The contender's process as a function from a request to its answer; without a request it waits for a line."""
@@ -162,6 +156,9 @@ def _process(contender: Contender) -> Iterator[Callable[..., dict[str, Any]]]:
         with suppress(subprocess.TimeoutExpired):
             process.wait(timeout=10)
     finally:
+        process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=5)  # compiled code does not listen
         process.kill()
         process.wait()
         with suppress(BrokenPipeError):  # what a dead process has not read

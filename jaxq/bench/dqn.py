@@ -19,6 +19,8 @@ SETTINGS: dict[str, dict[str, Any]] = {
 #: Updates of a lane, so that the lanes of a bout together make ``BOUT``, as far as that allows.
 LEAST, MOST, BOUT = 512, 4096, 2**14
 
+_slots: dict[str, int] = {}
+
 
 def prepare(case: str, setting: str = "article", family: str = "pcg4d") -> Callable[[], float]:
     """``case`` lanes of ``setting``, all of the same length, without the evaluation at their end. Units: updates."""
@@ -28,4 +30,10 @@ def prepare(case: str, setting: str = "article", family: str = "pcg4d") -> Calla
     count = int(case)
     each = max(LEAST, min(MOST, BOUT // count // LEAST * LEAST))
     one = equal_lanes.setting("article-dqn", **SETTINGS[setting])
+    _slots[case] = equal_lanes.slots(one, family)
     return equal_lanes.prepare(one, family, lanes=count, updates=each)
+
+
+def notes(case: str) -> dict[str, Any]:
+    """The engine's slots: fewer lanes leave cores idle."""
+    return {"slots": _slots[case]}

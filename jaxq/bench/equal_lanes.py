@@ -16,14 +16,13 @@ from jaxq.plans import plan
 from jaxq.presets import DQNSettings, Settings
 from jaxq.tally import Lane
 
-#: No episode's end ends a lane: a streak that none reaches. The window of ``article-dqn`` needs 22,500 steps to call a
-#: lane solved, more than any makes here.
-NEVER_SOLVED: dict[str, dict[str, Any]] = {"article-q": {"success_streak": 10**6}}
+#: No episode's end ends a lane: a streak that none reaches, no window to look at.
+NEVER_SOLVED: dict[str, dict[str, Any]] = {"article-q": {"success_streak": 10**6}, "article-dqn": {"success_window": 0}}
 
 
 def setting(preset: str, **overrides: Any) -> Settings:
     """A preset's setting whose lanes end by their length alone."""
-    return plan(preset, max_episodes=10**6, **NEVER_SOLVED.get(preset, {}), **overrides).settings[0]
+    return plan(preset, max_episodes=10**6, **NEVER_SOLVED[preset], **overrides).settings[0]
 
 
 def prepare(one: Settings, family: str, *, lanes: int, updates: int, workers: int | None = None) -> Callable[[], float]:
@@ -44,6 +43,11 @@ def prepare(one: Settings, family: str, *, lanes: int, updates: int, workers: in
         return float(sum(result.updates for result in results))
 
     return bout
+
+
+def slots(one: Settings, family: str, workers: int | None = None) -> int:
+    """The lanes that the engine runs at once, with one worker per core where ``workers`` is None."""
+    return unevaluated(one, family).program.width * (engine.default_workers() if workers is None else workers)
 
 
 @cache

@@ -8,6 +8,10 @@ from typing import Any
 PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1, ""))
 
 
+#: Notes that are not in the table: ``solved`` and ``remarks`` show theirs, slots say which cases are too few lanes.
+APART = ("trainings", "differs", "slots")
+
+
 def rate(value: float | None, unit: str = "") -> str:
     """A rate with three digits, such as "12.3 M updates/s"; a dash where there is none."""
     if not value:
@@ -17,6 +21,11 @@ def rate(value: float | None, unit: str = "") -> str:
     digits = 0 if scaled >= 99.95 else 1 if scaled >= 9.995 else 2
     words = (f"{scaled:.{digits}f}", prefix, f"{unit}/s" if unit else "")
     return " ".join(word for word in words if word)
+
+
+def digits(value: float) -> str:
+    """A number with three digits, whole from 100 on: "0.123", "1,234"."""
+    return f"{value:,.0f}" if abs(value) >= 99.95 else f"{value:.3g}"
 
 
 def grid(result: Mapping[str, Any], axis: str) -> list[list[str]]:
@@ -48,14 +57,28 @@ def _cell(row: Mapping[str, Any] | None, whole: bool) -> str:
 
 
 def notes(result: Mapping[str, Any]) -> list[list[str]]:
-    """Rows of a table of what contenders told of their last bout; empty when none did. Trainings have their own."""
-    told = [row for row in result["rows"] if row.get("notes") and "trainings" not in row["notes"]]
-    names = list(dict.fromkeys(name for row in told for name in row["notes"]))
-    lines = [["last run", *names]]
-    for row in told:
-        cells = ("" if row["notes"].get(name) is None else f"{row['notes'][name]:,}" for name in names)
+    """Rows of a table of the numbers that contenders told of their last bout; empty when none did."""
+    told = []
+    for row in result["rows"]:
+        numbers = {name: value for name, value in (row.get("notes") or {}).items() if name not in APART}
+        if numbers:
+            told.append((row, numbers))
+    names = list(dict.fromkeys(name for _, numbers in told for name in numbers))
+    lines = [["notes", *names]]
+    for row, numbers in told:
+        cells = ("" if numbers.get(name) is None else f"{numbers[name]:,}" for name in names)
         lines.append([f"{row['case']}, {row['contender']}", *cells])
     return lines if told else []
+
+
+def remarks(result: Mapping[str, Any]) -> list[str]:
+    """What contenders said of how their work is another than ours, ``differs`` in their notes: a line per difference
+    with all who said it."""
+    told: dict[str, dict[str, None]] = {}
+    for row in result["rows"]:
+        if differs := (row.get("notes") or {}).get("differs"):
+            told.setdefault(differs, {})[row["contender"]] = None
+    return [f"{'; '.join(names)}: {differs}." for differs, names in told.items()]
 
 
 def errors(result: Mapping[str, Any]) -> list[str]:

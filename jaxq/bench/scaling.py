@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from jaxq import cpu, machine
-from jaxq.bench import memory
+from jaxq.bench import affinity, memory
 
 PACKAGES = ("jaxq", "jax", "jaxlib", "flax", "optax")
 #: ``prepare`` has a shorter one: the largest cases take seconds.
@@ -36,6 +37,8 @@ def prepare(case: str, axis: str, preset: str, family: str = "pcg4d") -> Callabl
     ``case`` is the number of "lanes", or of "cores" that share the same lanes, or the "width" of two hidden layers.
     """
     cpu.tune()
+    import jax
+
     from jaxq import lanes as engine
     from jaxq.bench import equal_lanes
 
@@ -52,15 +55,27 @@ def prepare(case: str, axis: str, preset: str, family: str = "pcg4d") -> Callabl
 
     def bout() -> float:
         known = memory.reset_peak()
-        units = run()
+        with held(axis, workers):
+            units = run()
+        if axis == "cores" and (why := affinity.not_held(jax.default_backend())):
+            _notes[case] = {"differs": why}
         # The first bout's: what a larger case took and gave back may later count in the memory of a smaller one.
         if axis == "lanes" and case not in _notes:
-            _notes[case] = {"slots": width * workers, "first_peak_mib": memory.peak_mib() if known else None}
+            _notes[case] = {
+                "slots": equal_lanes.slots(one, family, workers),
+                "first_peak_mib": memory.peak_mib() if known else None,
+            }
         return units
 
     return bout
 
 
+def held(axis: str, cores: int) -> AbstractContextManager[None]:
+    """Along the cores, so many for the whole process: for the books, and XLA's own threads, as well."""
+    return affinity.on(cores) if axis == "cores" else nullcontext()
+
+
 def notes(case: str) -> dict[str, Any]:
-    """Along the lanes: the engine's slots, and the peak of resident memory in the first bout of the case."""
+    """Along the lanes: the engine's slots, and the peak of resident memory in the first bout of the case. Along the
+    cores: how what is measured is another thing where they cannot be held."""
     return _notes.get(case, {})

@@ -1,7 +1,7 @@
 """What a contest tells of trainings until they were solved: their table, and the curves of a picture.
 
 A row's notes then hold ``trainings``: ``together``, how many seeds ran at once; ``seconds``, of each such group; and of
-every training, group by group, ``env_steps`` and ``solved``. A contender may add ``differs``: how its agent is another.
+every training, group by group, ``env_steps`` and ``solved``.
 
 A training that reached its limit without success is none that succeeds later: limits count episodes too, which are
 short where a policy is bad, so it is left in the denominator and counts as later than all others, and is not taken out
@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from jaxq import stats
+from jaxq.bench import report
 from jaxq.stats import Estimate
 
 #: What stands in the columns of the table.
@@ -78,16 +79,7 @@ def _estimate(estimate: Estimate, unit: str = "") -> str:
 
 
 def _digits(value: float | None) -> str:
-    return "-" if value is None else f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
-def remarks(result: Mapping[str, Any]) -> list[str]:
-    """What contenders said of how their agents are others than ours, a line per difference with all who said it."""
-    told: dict[str, list[str]] = {}
-    for row in result["rows"]:
-        if differs := (row.get("notes") or {}).get("differs"):
-            told.setdefault(differs, []).append(row["contender"])
-    return [f"{'; '.join(names)}: {differs}." for differs, names in told.items()]
+    return "-" if value is None else report.digits(value)
 
 
 def curve(times: Sequence[float | None]) -> tuple[list[float], list[float]]:

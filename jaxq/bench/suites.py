@@ -140,7 +140,8 @@ SUITES = {
         ),
         Suite(
             "solve",
-            "trainings until they are solved, or reach their limit",
+            "trainings until their episodes, exploration and all, meet the rule of success (dqn: 100 of 475 steps on"
+            " average), or reach their limit",
             "seeds",
             "setting",
             [

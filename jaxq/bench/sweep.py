@@ -13,6 +13,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxq import run_files
+
 PACKAGES = ("jaxq", "jax", "jaxlib")
 #: A command is its own warm-up, or is meant to run cold.
 WARM_UP = False
@@ -29,6 +31,7 @@ COMMANDS = {
 }
 
 _last: dict[str, dict[str, Any]] = {}
+_devices: list[str] = []
 
 
 def prepare(case: str, cache: str = "warm") -> Callable[[], float]:
@@ -45,6 +48,7 @@ def prepare(case: str, cache: str = "warm") -> Callable[[], float]:
         done = subprocess.run(line, capture_output=True, text=True, env=environment)
         if done.returncode:
             raise RuntimeError(done.stderr.strip() or f"exit {done.returncode}")
+        _devices.append(json.loads((out / run_files.MANIFEST).read_text())["device"])
         return json.loads(done.stdout)["timing"]
 
     if cache == "warm":  # one seed compiles what all of them run
@@ -68,3 +72,8 @@ def one_seed(words: Sequence[str]) -> list[str]:
 def notes(case: str) -> dict[str, Any]:
     """What the last run of that command said of its time."""
     return _last.get(case, {})
+
+
+def device() -> str | None:
+    """The accelerator that the last command ran on."""
+    return None if _devices[-1] == "cpu" else _devices[-1]

@@ -8,6 +8,8 @@ not installed for. MODULE is a dotted name or the path of a file, and offers
     ``prepare(case: str, *arguments: str) -> Callable[[], float]``: everything that is not to be timed; what it returns
     does one bout of work, waits for its end and returns the units of work done;
     ``PACKAGES``: the names of the packages whose versions belong beside the figures;
+    ``device() -> str | None`` (optional): the accelerator, where this process does not itself run on it;
+    ``tools() -> dict`` (optional): versions of what else the figures depend on;
     ``WARM_UP`` (optional): False when the first bout is not to be left out;
     ``notes(case) -> dict`` (optional): more to be told of the last bout.
 
@@ -36,6 +38,7 @@ from typing import Any
 
 def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks, who then ends this process
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # what a contender made on disk goes, and what it started
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what a library prints is talk, not an answer
 
@@ -49,7 +52,8 @@ def main() -> None:
     try:
         del sys.path[0]  # this file's folder, whose names are not for others
         module = load(sys.argv[1])
-        answer(versions=versions(getattr(module, "PACKAGES", ())))
+        tools = getattr(module, "tools", dict)
+        answer(versions={**versions(getattr(module, "PACKAGES", ())), **tools()})
     except Exception as error:
         answer(error=one_line(error))
         return
@@ -84,7 +88,8 @@ def measure(
     finally:
         gc.enable()
     told = module.notes(case) if hasattr(module, "notes") else {}
-    return {"rate": units / elapsed, "bouts": bouts, "prepare_s": prepare_s, "notes": told, "device": accelerator()}
+    device = getattr(module, "device", accelerator)()
+    return {"rate": units / elapsed, "bouts": bouts, "prepare_s": prepare_s, "notes": told, "device": device}
 
 
 def accelerator() -> str | None:
