@@ -165,9 +165,6 @@ PEERS_OF: dict[str, Sequence[Contender]] = {
         _solver("stable-baselines3, its zoo's settings", "sb3_zoo_dqn", "dqn"),
         _solver("sbx", "sbx_dqn", "dqn"),
         _solver("rejax", "rejax_dqn", "dqn", folder=".venv-peers-rejax"),
-        _solver(
-            *("rejax, seeds together", "rejax_dqn", "dqn", "16"),
-            folder=".venv-peers-rejax",
-        ),
+        _solver("rejax, seeds together", "rejax_dqn", "dqn", "16", folder=".venv-peers-rejax"),
     ],
 }

@@ -25,7 +25,7 @@ Made by `python -m benchmarks.page` from `benchmarks/results/*.json`, which `mak
 machine) and `make bench-peers` (the peers too) write. Every contender runs in a process of its own; they take turns,
 case after case, and a figure is the median over the turns with half the range beside it. Compilation is not timed, but
 for whole commands. A ratio is of two medians, with the smallest and the largest of the turns behind it. Compare figures
-within a table only: the next hour, or another machine, gives others.
+within a table only: the next hour, or another machine, gives others. Each section names its machine and its day.
 
 Peers are at our settings; what they have not is said below the table. Ours use all cores. PyTorch and
 stable-baselines3 use one where a name says no other number, the tutorial's NumPy loop uses one.
