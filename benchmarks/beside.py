@@ -13,7 +13,7 @@ from jaxq.bench import dqn, solve, tabular
 from jaxq.bench.contest import Contender
 from jaxq.bench.suites import ENVS, GROUPS, LANES, WIDTHS, cases
 from jaxq.plans import plan
-from jaxq.presets import Settings
+from jaxq.settings import Settings
 
 HERE = Path(__file__).parent
 PEERS = HERE / "peers"
@@ -124,7 +124,7 @@ def _agent(setting: str) -> str:
 
 
 def _json(one: Settings) -> str:
-    return json.dumps(one.model_dump(mode="json"))
+    return json.dumps(one.flat())
 
 
 def _solver(name: str, agent: str, case: str, *more: str, folder: str = ".venv-peers") -> Contender:

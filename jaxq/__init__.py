@@ -25,7 +25,7 @@ _MODULES = tuple(
     "agents compile_cache cpu envs experiment lanes networks optimisers policies presets prng programs replay rules"
     " schedules stats success types".split()
 )
-_NAMES = {"Outcome": "sweeps", "Plan": "plans", "plan": "plans", "sweep": "sweeps", "train": "sweeps"}
+_NAMES = {"Outcome": "outcome", "Range": "axes", "load": "outcome", "Plan": "plans", "plan": "plans", "sweep": "sweeps", "train": "sweeps"}
 
 __all__ = [*_MODULES, *_NAMES]
 

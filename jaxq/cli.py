@@ -5,11 +5,12 @@ Nothing here imports jax before the arguments are known to be good.
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
-from jaxq import commands, flags, streams
-from jaxq.commands import EXIT_FAILED, EXIT_OK, EXIT_USAGE
+from jaxq import commands, exits, flags, sweep_files, streams
 from jaxq.flags import COMMANDS, UsageError
 from jaxq.presets import preset, presets
 from jaxq.suggest import nearest
@@ -24,10 +25,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return _dispatch(arguments)
             except UsageError as error:
                 print(f"jaxq: error: {' '.join(str(error).split())}", file=sys.stderr)
-                return EXIT_USAGE
+                return exits.USAGE
     except streams.StdoutError as error:
         print(f"jaxq: error: {error}", file=sys.stderr)
-        return EXIT_FAILED
+        return exits.FAILED
 
 
 def _dispatch(arguments: list[str]) -> int:
@@ -42,17 +43,30 @@ def _dispatch(arguments: list[str]) -> int:
         return _bench(rest)
     if command not in COMMANDS:
         raise UsageError(f"command {command!r} is unknown{nearest(command, COMMANDS)}")
+    if command in ("report", "evaluate") or (command == "train" and any(w.split("=")[0] == "--from" for w in rest)):
+        return _of_a_run(command, rest)
     if not rest:
         raise UsageError(f"jaxq {command} needs a preset: {', '.join(p.name for p in presets())}")
     if rest[0].startswith("-"):
         if rest[0] in ("-h", "--help"):
             flags.preset_overview(command).parse_args(rest)
         raise UsageError(f"the preset comes first: jaxq {command} PRESET {' '.join(rest[:1])} ...")
+    asked = {}
     try:
-        chosen = preset(rest[0])
+        if command == "sweep" and rest[0].endswith(".toml"):
+            asked = sweep_files.read(Path(rest[0]))
+        chosen = preset(asked.pop("name", rest[0]))
     except ValueError as error:
         raise UsageError(str(error)) from None
-    return commands.run(command, chosen, flags.parse(command, chosen, rest[1:]))
+    return commands.run(command, chosen, flags.parse(command, chosen, rest[1:], asked.get("env")), asked)
+
+
+def _of_a_run(command: str, words: list[str]) -> int:
+    """The commands that read a run directory."""
+    module = importlib.import_module(f"jaxq.command_{command}")
+    parser = flags.Parser(prog=f"jaxq {command}", description=f"{COMMANDS[command].capitalize()}.", allow_abbrev=False)
+    module.arguments(parser)
+    return module.run(flags.read(parser, words, f"jaxq {command}"))
 
 
 def _list() -> int:
@@ -64,7 +78,7 @@ def _list() -> int:
     print("environments")
     for name in names():
         print(f"  {name}")
-    return EXIT_OK
+    return exits.OK
 
 
 def _bench(words: list[str]) -> int:
@@ -75,4 +89,4 @@ def _bench(words: list[str]) -> int:
     options, suites = command.read(parser, words, "jaxq bench")
     results = command.run(suites, options)
     failed = any(row["error"] for result in results.values() for row in result["rows"])
-    return EXIT_FAILED if failed else EXIT_OK
+    return exits.FAILED if failed else exits.OK

@@ -236,7 +236,7 @@ def _rollout(
         judged, met = jax.lax.scan(
             lambda held, episode: success.update(held, *episode, limits),
             state.success,
-            (over, length),
+            (over, length, total),
             unroll=num_envs == 1,
         )
         solved = solved | jnp.any(met)

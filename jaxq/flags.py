@@ -3,24 +3,35 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import difflib
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn, get_origin
+from typing import Any, NoReturn
 
 from pydantic.fields import FieldInfo
 
-from jaxq import __version__
+from jaxq import __version__, worlds
+from jaxq.axes import METHODS, SAMPLES, Range
 from jaxq.presets import Preset, presets
+from jaxq.settings import NO_LIMIT
 from jaxq.suggest import nearest
+from jaxq.worlds import World
 
 COMMANDS = {
     "sweep": "train a preset over settings and seeds, many lanes at once",
     "train": "train one lane, with its episodes and pictures",
+    "report": "write the report of a run directory: tables and pictures",
+    "evaluate": "play the saved policies of a run directory, in Gymnasium too",
     "bench": "measure the throughput of this machine",
     "list": "list the presets and environments",
 }
+
+
+#: Seeds of a sweep that does not say how many.
+SEEDS = 10
 
 
 class UsageError(Exception):
@@ -69,6 +80,12 @@ def directory(text: str) -> Path:
     return Path(text)
 
 
+_USAGE = {
+    "sweep": "jaxq sweep PRESET|FILE.toml [options]",
+    "train": "jaxq train PRESET [options], or jaxq train --from DIR --config I --seed S",
+}
+
+
 def overview() -> argparse.ArgumentParser:
     """What ``jaxq --help`` says."""
     lines = "\n".join(f"  {name:8}{help}" for name, help in COMMANDS.items())
@@ -89,7 +106,7 @@ def preset_overview(command: str) -> argparse.ArgumentParser:
     lines = "\n".join(f"  {p.name:14}{p.summary}" for p in presets())
     return Parser(
         prog=f"jaxq {command}",
-        usage=f"jaxq {command} PRESET [options]",
+        usage=_USAGE[command],
         description=f"{COMMANDS[command].capitalize()}.\n\npresets:\n{lines}",
         epilog=f"jaxq {command} PRESET --help lists every hyperparameter",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -97,25 +114,53 @@ def preset_overview(command: str) -> argparse.ArgumentParser:
     )
 
 
-def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
-    """The flags of one command for one preset: the run's, then one per setting."""
+def parser(command: str, chosen: Preset, env: World) -> argparse.ArgumentParser:
+    """The flags of one command for one preset in one environment: the run's, then one per setting."""
     several = command == "sweep"
     made = Parser(
         prog=f"jaxq {command} {chosen.name}",
         description=f"{chosen.summary.capitalize()}."
-        + (" Several values after a flag make an axis; the sweep is the product of all axes." if several else ""),
+        + (
+            " Several values after a flag make an axis; the sweep is the product of all axes. MIN:MAX or MIN:MAX:log"
+            " after a flag is a range, from which --method sobol or random takes --samples settings."
+            if several
+            else ""
+        ),
         allow_abbrev=False,
     )
     run = made.add_argument_group("run")
     if several:
-        run.add_argument(
-            "--seeds", action=Once, type=whole, default=10, help="seeds of each setting (default 10)", metavar="N"
-        )
+        count = partial(run.add_argument, action=Once, type=whole, default=None, metavar="N")
+        count("--seeds", help=f"seeds of each setting (default {SEEDS})")
+        run.add_argument("--method", action=Once, default=None, help=f"how settings are chosen: {', '.join(METHODS[:3])}")
+        count("--samples", help=f"settings that sobol or random takes (default {SAMPLES})")
+        count("--halving", help="stop all but the best of every N settings at each of several rungs on the way")
+        count("--rungs", help="at most so many rungs, the last ones (default as many as the settings allow)")
+        count("--keep", help="keep the policies of the best N lanes alone (default all)")
         run.add_argument("--episodes", action="store_true", help="keep a row of every training episode as well")
+        run.add_argument("--tensorboard", action="store_true", help="write TensorBoard's event files as well")
     run.add_argument(
-        "--seed", action=Once, type=whole, default=0, help="root of all randomness (default 0)", metavar="N"
+        "--seed", action=Once, type=whole, default=None, help="root of all randomness (default 0)", metavar="N"
     )
     run.add_argument("--prng", action=Once, default=None, help=f"key family (default {chosen.prng})", metavar="NAME")
+    directory_flags(run)
+    run.add_argument("--dry-run", action="store_true", help="say what would run, and stop")
+    output_flags(run)
+    environment = made.add_argument_group("environment")
+    environment.add_argument("--env", action=Once, default=None, help=f"environment (default {env})", metavar="ID")
+    settings = chosen.settings.model_copy(update={"env": env})
+    numbers = made.add_argument_group("hyperparameters")
+    shapes = made.add_argument_group("structure (each combination is compiled once)")
+    values = settings.flat()
+    for name, info in settings.fields().items():
+        if name != "env":
+            group = environment if name.startswith("env.") else shapes if settings.is_structure(name) else numbers
+            _add_flag(group, name, info, values[name], several)
+    return made
+
+
+def directory_flags(run: Any) -> None:
+    """Where a run is kept, and what becomes of one that is there."""
     run.add_argument(
         "--out",
         action=Once,
@@ -126,7 +171,16 @@ def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
     )
     run.add_argument("--resume", action="store_true", help="finish the sweep that the run directory holds")
     run.add_argument("--overwrite", action="store_true", help="replace the run directory")
-    run.add_argument("--dry-run", action="store_true", help="say what would run, and stop")
+    run.add_argument(
+        "--allow-mismatch",
+        action="store_true",
+        help="with --resume: go on with a run that was made by other versions, on another CPU, or with fewer seeds or"
+        " settings, and note it",
+    )
+
+
+def output_flags(run: Any) -> None:
+    """What is said, and with what a run is done."""
     run.add_argument("--json", action="store_true", help="print one JSON object: lanes, summary, timing")
     run.add_argument("--quiet", action="store_true", help="no progress and no talk")
     run.add_argument("--no-progress", action="store_true", help="no progress bar")
@@ -138,17 +192,21 @@ def parser(command: str, chosen: Preset) -> argparse.ArgumentParser:
         " user's directory for caches",
     )
     run.add_argument("--workers", action=Once, type=whole, default=None, help="cores to use (default all)", metavar="N")
-    for title, wanted in (("hyperparameters", False), ("structure (each combination is compiled once)", True)):
-        group = made.add_argument_group(title)
-        for name, info in type(chosen.settings).model_fields.items():
-            if chosen.settings.is_structure(name) is wanted:
-                _add_flag(group, name, info, getattr(chosen.settings, name), several)
-    return made
 
 
-def parse(command: str, chosen: Preset, words: list[str]) -> argparse.Namespace:
-    """The options of a command. Raises UsageError, with the nearest known flag, for what it does not know."""
-    return read(parser(command, chosen), words, f"jaxq {command} {chosen.name}")
+def parse(command: str, chosen: Preset, words: list[str], env: str | World | None = None) -> argparse.Namespace:
+    """The options of a command. Raises UsageError, with the nearest known flag, for what it does not know.
+
+    ``env`` is the environment that a file asks for; ``--env`` goes before it, and decides which flags there are.
+    """
+    scout = Parser(add_help=False, allow_abbrev=False)
+    scout.add_argument("--env", default=None)
+    try:
+        named, _ = scout.parse_known_args(words)
+        env = worlds.world(named.env or env or chosen.settings.env)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    return read(parser(command, chosen, env), words, f"jaxq {command} {chosen.name}")
 
 
 def read(made: argparse.ArgumentParser, words: Sequence[str], what: str) -> argparse.Namespace:
@@ -169,6 +227,7 @@ def read(made: argparse.ArgumentParser, words: Sequence[str], what: str) -> argp
 
 def _add_flag(group: Any, name: str, info: FieldInfo, default: Any, several: bool) -> None:
     shown = (",".join(map(str, default)) or "none") if isinstance(default, tuple) else default
+    shown = "none" if shown is None else "no limit" if shown == NO_LIMIT else shown
     text = f"{info.description} (default {shown})".replace("%", "%%")
     flag = f"--{name.replace('_', '-')}"
     metavar = "true|false" if info.annotation is bool else "VALUE"
@@ -179,17 +238,29 @@ def _add_flag(group: Any, name: str, info: FieldInfo, default: Any, several: boo
 
 
 def given_values(chosen: Preset, options: argparse.Namespace) -> dict[str, Any]:
-    """The settings that were given, each a list of what the preset's model reads."""
-    given = {}
-    for name, info in type(chosen.settings).model_fields.items():
-        raw = getattr(options, f"set_{name}")
-        if raw is not None:
+    """The settings that were given, each a Range, or a list of what the preset's model reads."""
+    given: dict[str, Any] = {}
+    for name, raw in vars(options).items():
+        if name.startswith("set_") and raw is not None:
+            name = name.removeprefix("set_")
             words = raw if isinstance(raw, list) else [raw]
-            is_tuple = get_origin(info.annotation) is tuple
-            given[name] = [_parts(word) if is_tuple else word for word in words]
-    return given
+            ranges = [word for word in words if re.fullmatch(r"[^:]+:[^:]+(:[^:]*)?", word)]
+            if ranges and len(words) > 1:
+                raise UsageError(f"{name}: {ranges[0]} is not allowed beside other values")
+            given[name] = _range(name, words[0]) if ranges else words
+    return {"env": options.env, **given} if options.env is not None else given
 
 
-def _parts(word: str) -> tuple[str, ...]:
-    """``128,128`` as its parts; ``none`` has none."""
-    return () if word == "none" else tuple(word.split(","))
+def _range(name: str, word: str) -> Range:
+    low, high, *scale = word.split(":")
+    try:
+        return Range(_number(low), _number(high), *scale)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise UsageError(f"{name}: {word} is not allowed: {error}") from None
+
+
+def _number(word: str) -> float:
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(word)
+    raise ValueError(f"{word!r} is no number")

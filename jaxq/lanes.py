@@ -22,9 +22,10 @@ import numpy as np
 from jaxq import prng
 from jaxq.executables import Executables
 from jaxq.machine import cores
-from jaxq.tally import Episodes, Lane, Result
-from jaxq.workers import Ended, Shared, Worker
-from jaxq.workers import Progress as Progress
+from jaxq.shared import Ended, Shared
+from jaxq.shared import Progress as Progress
+from jaxq.tally import Episodes, Lane, Result, Saved
+from jaxq.workers import Worker
 
 
 def default_workers() -> int:
@@ -43,17 +44,26 @@ def run(
     keep_max_q: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
     on_episodes: Callable[[Lane, Episodes], None] | None = None,
+    on_saved: Callable[[Saved], None] | None = None,
+    checkpoint_s: float = 60.0,
     stop: threading.Event | None = None,
 ) -> Generator[Result, None, None]:
     """Yields each lane's Result as it ends, in no fixed order.
 
     ``total`` is the number of lanes, for the progress. ``on_episodes`` is called for every lane at each of its segments
-    with all episodes that it has finished. ``stop`` set: every worker finishes its segment, hands on what
-    ended, and the iterator ends. An exception in a worker or of a listener, or Ctrl-C, is raised here once all that
+    with all episodes that it has finished. ``on_saved`` is called with each lane that has been under way for another
+    ``checkpoint_s`` seconds, and with those under way when the run is stopped. ``stop`` set: every worker finishes its
+    segment, hands on what ended, and the iterator ends. An exception in a worker or of a listener, or Ctrl-C, is raised here once all that
     ended is handed on.
     """
     stop = stop or threading.Event()
-    shared = Shared(iter(lanes), Progress(total), stop, watched=on_episodes is not None)
+    shared = Shared(
+        iter(lanes),
+        Progress(total),
+        stop,
+        watched=on_episodes is not None,
+        checkpoint_s=None if on_saved is None else checkpoint_s,
+    )
     root = np.asarray(jax.random.key_data(prng.key(root_seed, impl)))
     count = max(1, min(workers or default_workers(), -(-total // built.program.width)))
     threads = [threading.Thread(target=Worker(built, shared, root, keep_max_q).run, daemon=True) for _ in range(count)]
@@ -91,6 +101,8 @@ def run(
                 running -= 1
                 if item.error is not None:
                     fail(item.error)
+            elif isinstance(item, Saved):
+                tell(on_saved, item)
             elif item is not None:
                 tell(on_episodes, *item)
             tell(on_progress, shared.progress)

@@ -1,4 +1,4 @@
-"""Presets and their settings: every hyperparameter with its default, its range and its help, in one place.
+"""Presets: every hyperparameter of the learners with its default, its range and its help, in one place.
 
 A *number* is traced, so a sweep over it shares one compiled program; a *structure* changes a shape or the program, so
 each distinct combination is compiled once. Imports no jax: the command line answers ``--help`` from here.
@@ -10,54 +10,51 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import SerializeAsAny, model_validator
 
+from jaxq import worlds
+from jaxq.settings import NO_LIMIT, Settings, changed, number, structure
 from jaxq.suggest import nearest
-
-#: More than any run makes. The int32 counters go past a limit by less than a round, which is a buffer at most (2^24).
-NO_LIMIT = 2_000_000_000
+from jaxq.worlds import World
 
 Probability = {"ge": 0.0, "le": 1.0}
 Scale = {"ge": 1e-6, "le": 1e6}
+#: Whole numbers up to here are exact in float32.
+EXACT = 2**24
 
 
-def number(default: Any, help: str, **allowed: Any) -> Any:
-    """A field that is traced."""
-    return Field(default, description=help, json_schema_extra={"structure": False}, **allowed)
+class Training(Settings):
+    """What every learner's training has: a world, an end, a rule of success, an evaluation."""
 
-
-def structure(default: Any, help: str, **allowed: Any) -> Any:
-    """A field that shapes the program."""
-    return Field(default, description=help, json_schema_extra={"structure": True}, **allowed)
-
-
-class Settings(BaseModel):
-    """One setting of every hyperparameter; validated, frozen, finite."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @classmethod
-    def is_structure(cls, name: str) -> bool:
-        """Whether the field shapes the program."""
-        extra = cls.model_fields[name].json_schema_extra
-        return isinstance(extra, dict) and bool(extra["structure"])
-
-    def structural(self) -> tuple[tuple[str, Any], ...]:
-        """The fields that shape the program, a key for grouping settings by program."""
-        return tuple((name, getattr(self, name)) for name in type(self).model_fields if self.is_structure(name))
+    env: SerializeAsAny[World] = structure(worlds.CartPole(), "environment")
+    max_episodes: int = number(NO_LIMIT, "episodes after which a lane ends", ge=1, le=NO_LIMIT)
+    max_env_steps: int = number(NO_LIMIT, "env steps after which a lane ends", ge=1, le=NO_LIMIT)
+    stop: Literal["streak", "window", "gymnasium", "none"] = structure(
+        "none",
+        "what ends a lane as solved: a streak of long episodes, the mean length of a window of them, Gymnasium's mean"
+        " return of 100 episodes at the environment's threshold, or nothing",
+    )
+    success_steps: float = number(
+        450.0,
+        "streak: 0-based step that an episode must reach; window: mean length that must be passed",
+        ge=0,
+        le=EXACT,
+    )
+    success_streak: int = number(50, "streak: solved after more than this many in a row", ge=0, le=NO_LIMIT)
+    success_window: int = structure(50, "window: so many last episodes", ge=1, le=10_000)
+    eval_episodes: int = structure(10, "whole greedy episodes of an evaluation", ge=1, le=100_000)
+    eval_every: int = number(
+        0, "env steps between two evaluations while training; 0 evaluates at the end alone", ge=0, le=NO_LIMIT
+    )
 
     @model_validator(mode="after")
-    def _float32(self) -> Settings:
-        """Numbers are float32 in the program: too large is infinite there, too small is 0."""
-        for name in type(self).model_fields:
-            value = getattr(self, name)
-            if isinstance(value, float) and value != 0 and not 1e-37 < abs(value) < 1e38:
-                zero = "" if any(hasattr(rule, "gt") for rule in type(self).model_fields[name].metadata) else "0, or "
-                raise ValueError(f"{name}: {value} is not allowed: {zero}a size from 1e-37 to 1e38")
+    def _has_threshold(self) -> Training:
+        if self.stop == "gymnasium" and self.env.reward_threshold is None:
+            raise ValueError(f"stop: gymnasium is not allowed: {self.env} has no reward threshold")
         return self
 
 
-class TabularSettings(Settings):
+class TabularSettings(Training):
     """Tabular Q-learning on the discretised CartPole, under the tutorial's names."""
 
     epsilon_min: float = number(0.01, "least exploration rate", **Probability)
@@ -67,10 +64,6 @@ class TabularSettings(Settings):
     decay_coeff: float = number(25.0, "episodes before epsilon and alpha start to fall", gt=0)
     gamma: float = number(0.99, "discount", **Probability)
     initial_value: float = number(0.0, "value of every cell of the table at the start", ge=-1e6, le=1e6)
-    max_episodes: int = number(5000, "episodes after which a lane ends", ge=1, le=NO_LIMIT)
-    max_steps: int = number(500, "steps after which an episode is truncated", ge=1, le=NO_LIMIT)
-    success_steps: int = number(450, "0-based step an episode must reach to count as a success", ge=0, le=NO_LIMIT)
-    success_streak: int = number(50, "solved after more than this many successes in a row", ge=0, le=NO_LIMIT)
     position_bound: float = number(4.8, "m: positions are bucketed between minus and plus this", **Scale)
     velocity_bound: float = number(0.5, "m/s: likewise for velocities", **Scale)
     angle_bound: float = number(2 * 12 * 2 * math.pi / 360, "rad: likewise for pole angles", **Scale)
@@ -88,7 +81,7 @@ class TabularSettings(Settings):
         return self
 
 
-class DQNSettings(Settings):
+class DQNSettings(Training):
     """Deep Q-learning on CartPole."""
 
     learning_rate: float = number(1e-4, "step size of the optimiser at the first update", gt=0)
@@ -104,10 +97,6 @@ class DQNSettings(Settings):
     weight_decay: float = number(0.01, "decoupled weight decay of AdamW", ge=0)
     huber_delta: float = number(1.0, "TD error beyond which the Huber loss is linear", gt=0)
     clip_at: float = number(100.0, "bound of the gradient's values or of its global norm", gt=0)
-    max_episodes: int = number(600, "episodes after which a lane ends", ge=1, le=NO_LIMIT)
-    max_env_steps: int = number(300_000, "env steps after which a lane ends", ge=1, le=NO_LIMIT)
-    success_steps: float = number(450.0, "solved when the mean episode length of the window is above this", ge=0)
-    success_window: int = structure(50, "episodes of that window; 0 never ends a lane early", ge=0, le=10_000)
     hidden: tuple[int, ...] = structure((128, 128), "units of the hidden layers, as 128,128; none for a linear network")
     batch_size: int = structure(128, "transitions of a minibatch", ge=1, le=2**20)
     buffer_size: int = structure(10_000, "transitions that the replay keeps", ge=1, le=2**24)
@@ -149,16 +138,23 @@ class Preset:
 
     name: str
     summary: str
-    settings: Settings
+    settings: Training
     prng: str = "pcg4d"
 
 
+_TUTORIAL_Q: dict[str, Any] = {"max_episodes": 5000, "stop": "streak"}
 _PRESETS = (
     Preset(
-        "article-q", "the tutorial's table, at its own settings and semantics", TabularSettings(bootstrap_terminal=True)
+        "article-q",
+        "the tutorial's table, at its own settings and semantics",
+        TabularSettings(**_TUTORIAL_Q, bootstrap_terminal=True),
     ),
-    Preset("q-learning", "the same, with no bootstrap after a termination", TabularSettings()),
-    Preset("article-dqn", "the tutorial's DQN, at its own settings", DQNSettings()),
+    Preset("q-learning", "the same, with no bootstrap after a termination", TabularSettings(**_TUTORIAL_Q)),
+    Preset(
+        "article-dqn",
+        "the tutorial's DQN, at its own settings",
+        DQNSettings(max_episodes=600, max_env_steps=300_000, stop="window"),
+    ),
     Preset(
         "dqn",
         "DQN with settings that hold up",
@@ -170,9 +166,8 @@ _PRESETS = (
             epsilon_start=1.0,
             epsilon_decay=50_000,
             weight_decay=0.0,
-            max_episodes=NO_LIMIT,
             max_env_steps=200_000,
-            success_window=0,
+            eval_episodes=100,
             hidden=(120, 84),
             learning_starts=1000,
             steps_per_update=4,
@@ -198,38 +193,17 @@ def preset(name: str) -> Preset:
     raise ValueError(f"preset: {name!r} is unknown{nearest(name, [p.name for p in _PRESETS])}")
 
 
-def settle(base: Preset, **overrides: Any) -> Settings:
-    """The preset's settings with some replaced.
+def settle(base: Preset, **overrides: Any) -> Any:
+    """The preset's settings with some replaced; ``env`` is a world's name or the user's own function of numbers, and
+    ``env.length`` one of its numbers.
 
     Raises ValueError that names the field, the value and what is allowed.
     """
-    kind = type(base.settings)
+    settings = base.settings
+    env = worlds.world(overrides.pop("env", settings.env))
+    known = [*type(settings).model_fields, *(f"env.{name}" for name in type(env).model_fields)]
     for name in overrides:
-        if name not in kind.model_fields:
-            raise ValueError(f"{name}: {base.name} has no such setting{nearest(name, list(kind.model_fields))}")
-    try:
-        return kind.model_validate({**base.settings.model_dump(), **overrides})
-    except ValidationError as error:
-        raise ValueError(_one_line(error)) from None
-
-
-#: pydantic's words for these would not say what is allowed.
-_ALLOWED = {
-    "missing": "too few values",
-    "too_long": "too many values",
-    "bool_parsing": "true or false",
-    "int_parsing": "a whole number",
-    "int_from_float": "a whole number",
-    "float_parsing": "a number",
-}
-
-
-def _one_line(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    if not first["loc"]:
-        return first["msg"].removeprefix("Value error, ")
-    where = str(first["loc"][0])  # of a tuple pydantic names the part as well, or the first that is not there
-    value = first["input"]
-    shown = ",".join(map(str, value)) if isinstance(value, tuple) else value if str(value).strip() else repr(value)
-    message = _ALLOWED.get(first["type"]) or f"{first['msg'][0].lower()}{first['msg'][1:]}"
-    return f"{where}: {shown} is not allowed: {message}"
+        if name not in known:
+            raise ValueError(f"{name}: {base.name} has no such setting{nearest(name, known)}")
+    numbers = {name.removeprefix("env."): overrides.pop(name) for name in list(overrides) if name.startswith("env.")}
+    return changed(settings, {**overrides, "env": changed(env, numbers, prefix="env.")})

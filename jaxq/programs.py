@@ -5,19 +5,22 @@ One structure is one compiled program; everything in Hypers is traced.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import singledispatch
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxq import networks, success
 from jaxq.agents.dqn import DQNHypers, dqn
 from jaxq.agents.tabular import TabularHypers, tabular
-from jaxq.envs import CartPoleParams, cartpole, discretise, tutorial_edges
+from jaxq.envs import discretise, registered, tutorial_edges
 from jaxq.experiment import Limits, experiment
-from jaxq.presets import NO_LIMIT, DQNSettings, Settings, TabularSettings
+from jaxq.presets import DQNSettings, TabularSettings, Training
+from jaxq.settings import NO_LIMIT, Settings
 from jaxq.types import Agent, Env, Experiment, Hypers
+from jaxq.worlds import World
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,39 @@ def _width(widths: dict[str, int]) -> int:
     return widths["cpu" if jax.default_backend() == "cpu" else "accelerator"]
 
 
+#: Of a lane that ends by itself.
+NO_LIMITS = Limits(NO_LIMIT, NO_LIMIT, 0, 0)
+
+
+class Pieces(NamedTuple):
+    """What meets in a training, as functions of its numbers."""
+
+    make_env: Callable[[Any], Env]
+    make_agent: Callable[[Any, Env], Agent]
+
+
+class Played(NamedTuple):
+    """What it takes to play a policy: the world as it is, as the learner sees it, and the learner."""
+
+    world: Env
+    env: Env
+    agent: Agent
+
+
+def played(settings: Training) -> Played:
+    """The environment and the learner of one setting."""
+    make_env, make_agent = pieces(settings)
+    numbers = hypers(settings)
+    env = make_env(numbers.env)
+    return Played(_world(settings.env)(_numbers(settings.env)), env, make_agent(numbers.agent, env))
+
+
+@singledispatch
+def pieces(settings: Settings) -> Pieces:
+    """What meets in a training of the settings' structure."""
+    raise TypeError(f"settings: no pieces for {type(settings).__name__}")
+
+
 @singledispatch
 def program(settings: Settings, impl: str) -> Program:
     """The program of the settings' structure; their numbers play no part."""
@@ -55,11 +91,14 @@ def hypers(settings: Settings) -> Hypers:
     raise TypeError(f"settings: no hypers for {type(settings).__name__}")
 
 
-@program.register
-def _(settings: TabularSettings, impl: str) -> Program:
+@pieces.register
+def _(settings: TabularSettings) -> Pieces:
+    make_world = _world(settings.env)
+
     def make_env(numbers: Any) -> Env:
-        params, edges = numbers
-        return discretise(cartpole(params), edges)
+        of_world, edges = numbers
+        env = make_world(of_world)
+        return env if env.num_states is not None else discretise(env, edges)
 
     def make_agent(numbers: TabularHypers, env: Env) -> Agent:
         return tabular(
@@ -69,7 +108,14 @@ def _(settings: TabularSettings, impl: str) -> Program:
             bootstrap_terminal=settings.bootstrap_terminal,
         )
 
-    made = experiment(make_env, make_agent, success=success.streak(), rounds=4000, impl=impl)
+    return Pieces(make_env, make_agent)
+
+
+@program.register
+def _(settings: TabularSettings, impl: str) -> Program:
+    made = experiment(
+        *pieces(settings), success=_success(settings), rounds=4000, eval_episodes=settings.eval_episodes, impl=impl
+    )
     return Program(made, width=_width(TABLES), num_envs=1)
 
 
@@ -83,14 +129,12 @@ def _(settings: TabularSettings) -> Hypers:
         settings.angular_velocity_bound,
     )
     edges = tutorial_edges([-bound for bound in high], high, settings.num_buckets)
-    params = CartPoleParams(max_episode_steps=settings.max_steps)
     agent = TabularHypers(**{name: getattr(settings, name) for name in TabularHypers._fields})
-    limits = Limits(settings.max_episodes, NO_LIMIT, settings.success_steps, settings.success_streak)
-    return _as_numpy(Hypers((params, edges), agent, limits))
+    return as_numpy(Hypers((_numbers(settings.env), edges), agent, _limits(settings)))
 
 
-@program.register
-def _(settings: DQNSettings, impl: str) -> Program:
+@pieces.register
+def _(settings: DQNSettings) -> Pieces:
     def make_agent(numbers: DQNHypers, env: Env) -> Agent:
         return dqn(
             numbers,
@@ -105,15 +149,19 @@ def _(settings: DQNSettings, impl: str) -> Program:
             clip=settings.clip,
         )
 
-    rule = success.window_mean(settings.success_window) if settings.success_window else success.never()
+    return Pieces(_world(settings.env), make_agent)
+
+
+@program.register
+def _(settings: DQNSettings, impl: str) -> Program:
     made = experiment(
-        cartpole,
-        make_agent,
-        success=rule,
+        *pieces(settings),
+        success=_success(settings),
         rounds=max(1, 256 // (settings.steps_per_update * settings.num_envs)),
         num_envs=settings.num_envs,
         steps_per_round=settings.steps_per_update,
         warm_up_steps=settings.learning_starts,
+        eval_episodes=settings.eval_episodes,
         impl=impl,
     )
     return Program(made, width=_width(NETWORKS), num_envs=settings.num_envs)
@@ -126,11 +174,42 @@ def _(settings: DQNSettings) -> Hypers:
     updates = max(1, (settings.max_env_steps - settings.learning_starts) // per_round)
     given = {name: getattr(settings, name) for name in DQNHypers._fields if hasattr(settings, name)}
     agent = DQNHypers(**{**given, "learning_rate_end": end, "anneal_updates": updates})
-    limits = Limits(settings.max_episodes, settings.max_env_steps, settings.success_steps, NO_LIMIT)
-    return _as_numpy(Hypers(CartPoleParams(), agent, limits))
+    return as_numpy(Hypers(_numbers(settings.env), agent, _limits(settings)))
 
 
-def _as_numpy(tree: Hypers) -> Hypers:
+def _world(world: World) -> Callable[[Any], Env]:
+    """Makes the environment of a world's numbers."""
+    options = {name: value for name, value in world.flat().items() if world.is_structure(name)}
+    if world.factory is None:
+        factory, _ = registered(world.id)
+        return lambda numbers: factory(numbers, **options)
+    own = world.factory
+    return lambda numbers: own(**numbers, **options)
+
+
+def _numbers(world: World) -> Any:
+    values = {name: value for name, value in world.flat().items() if not world.is_structure(name)}
+    if world.factory is not None:
+        return values
+    _, params = registered(world.id)
+    return params(**values)
+
+
+def _success(settings: Training) -> success.Success:
+    if settings.stop == "streak":
+        return success.streak()
+    if settings.stop == "window":
+        return success.window_mean(settings.success_window)
+    if settings.stop == "gymnasium" and settings.env.reward_threshold is not None:
+        return success.mean_return(100, settings.env.reward_threshold)
+    return success.never()
+
+
+def _limits(settings: Training) -> Limits:
+    return Limits(settings.max_episodes, settings.max_env_steps, settings.success_steps, settings.success_streak)
+
+
+def as_numpy(tree: Hypers) -> Hypers:
     """Every number as the 32-bit scalar that the program is compiled for."""
     import jax
 

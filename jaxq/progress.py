@@ -8,8 +8,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from jaxq.lanes import Progress as Done
 from jaxq.plans import Plan
+from jaxq.shared import Progress as Done
 
 
 class Display:
@@ -37,7 +37,7 @@ class Display:
     def __enter__(self) -> Display:
         self.bar.start()
         lanes = self.plan.lanes
-        self.task = self.bar.add_task(self.plan.preset.name, total=lanes, done=0, lanes=lanes, solved=0, speed="")
+        self.task = self.bar.add_task(self.plan.name, total=lanes, done=0, lanes=lanes, solved=0, speed="")
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -59,8 +59,13 @@ class Display:
     def compiling(self, number: int, programs: int) -> None:
         """Program ``number`` of ``programs`` is about to be compiled."""
         if self.bar.disable and programs > 1:
-            self.say(f"{self.plan.preset.name}: program {number} of {programs}")
-        self.bar.update(self.task, description=f"{self.plan.preset.name}: compiling {number}/{programs}")
+            self.say(f"{self.plan.name}: program {number} of {programs}")
+        self.bar.update(self.task, description=f"{self.plan.name}: compiling {number}/{programs}")
+
+    def rung(self, decided: dict[str, Any]) -> None:
+        """Halving has compared the settings."""
+        kept, stopped = len(decided["kept"]), len(decided["stopped"])
+        self.say(f"{self.plan.name}: rung {decided['rung']}: {kept} of {kept + stopped} settings go on")
 
     def progress(self, done: Done) -> None:
         """Shows where the engine stands."""
@@ -70,7 +75,7 @@ class Display:
         self.last = done
         self.bar.update(
             self.task,
-            description=self.plan.preset.name,
+            description=self.plan.name,
             completed=done.share,
             done=done.done,
             solved=done.solved,

@@ -1,104 +1,75 @@
 """The run directory: what a sweep leaves on disk, written so that a kill loses only the lanes under way.
 
-``manifest.json`` says what was asked for and with what; ``parts/`` holds batches of rows, ``policies/`` the weights.
-Every file is written under a temporary name, synced and renamed. A batch's ``lanes`` part is written last and is the
-commit: rows without it never happened.
+``manifest.json`` says what was asked for and with what, ``sweep.toml`` is the sweep as a file; ``parts/`` holds batches
+of rows, ``policies/`` the weights, ``checkpoints/`` long lanes under way. Every file is written under a temporary name,
+synced and renamed. A batch's ``lanes`` part is written last and is the commit: rows without it never happened.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import filelock
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
-import safetensors.numpy
 
-from jaxq import manifest, run_files
-from jaxq.manifest import Manifest, RunError
+from jaxq import manifest, parts, repair, run_files, sweep_files
+from jaxq.checkpoints import Checkpoints
+from jaxq.manifest import BrokenManifest, Manifest, RunError
 from jaxq.plans import Plan
-from jaxq.tables import Row
-
-#: Columns of each table that may be all None in a batch, and so must be told their type.
-_COUNT, _REAL = pa.int64(), pa.float64()
-_TYPES = {
-    "lanes": {
-        "learning_rate_end": _REAL,
-        "solved_at_episode": _COUNT,
-        "solved_at_step": _COUNT,
-        "diverged_at_step": _COUNT,
-        "stopped_at_rung": _COUNT,
-        "final_return": _REAL,
-        "eval_return": _REAL,
-    },
-    "curves": dict.fromkeys(("train_return", "eval_return", "loss", "max_q", "epsilon"), _REAL),
-    "episodes": dict.fromkeys(("return", "max_q"), _REAL),
-}
+from jaxq.run_files import WriteError
+from jaxq.store import Weights
 
 
 class Locked(RunError):
-    """Another process has the run directory."""
-
-
-class WriteError(RunError):
-    """The disk does not take what is written."""
+    """Another process has the run directory; the message says which."""
 
 
 class RunDirectory:
     """One sweep's directory, locked while it is open. Use as a context manager.
 
-    ``resumed`` tells whether it holds an earlier run.
+    ``resumed`` tells whether it holds an earlier run, ``checkpoints`` are those of its lanes under way.
     """
 
-    def __init__(self, path: Path, held: Manifest, lock: filelock.BaseFileLock, resumed: bool):
+    def __init__(self, path: Path, held: Manifest, lock: filelock.BaseFileLock, resumed: bool, allow: bool, say: Say):
         self.path, self.manifest, self._lock, self.resumed = path, held, lock, resumed
+        self._allow = allow
+        self.checkpoints = Checkpoints(path / run_files.CHECKPOINTS, held["id"], say)
 
     @classmethod
-    def open(cls, path: Path, plan: Plan, *, resume: bool = False, overwrite: bool = False) -> RunDirectory:
+    def open(
+        cls,
+        path: Path,
+        plan: Plan,
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
+        allow_mismatch: bool = False,
+        say: Say = lambda text: None,
+    ) -> RunDirectory:
         """Creates the directory, or opens it again for the same plan; a vacant one is begun whatever is asked.
 
-        Raises RunError when it holds a run and neither ``resume`` nor ``overwrite`` is given, when it holds something
-        else, when it cannot be made, when a file is damaged, or when it was made for another plan; Locked when another
-        process has it.
+        What is damaged is put aside and told to ``say``. ``allow_mismatch`` goes on with a run that was made otherwise,
+        and notes it. Raises RunError when it holds a run and neither ``resume`` nor ``overwrite`` is given, when it
+        holds something else, when it cannot be made, or when it was made otherwise; Locked when another process has it;
+        WriteError when the disk does not take it.
         """
         try:
             _goes_on(path, resume, overwrite)
             made = [folder for folder in (path, *path.parents) if not folder.exists()]
             path.mkdir(parents=True, exist_ok=True)
-            lock = filelock.FileLock(path / run_files.LOCK)
-            lock.acquire(timeout=0)
-        except filelock.Timeout:
-            raise Locked(f"{path}: another process is writing to it") from None
+            lock = _locked(path)
         except OSError as error:
             raise RunError(f"{path}: {error.strerror}") from None
         try:
-            goes_on = _goes_on(path, resume, overwrite)  # again: another process may have had it in between
-            found = manifest.read(path / run_files.MANIFEST) if goes_on else None
-            if found is not None:
-                manifest.agree(path, found, plan)
-            for file in run_files.temporaries(path):
-                file.unlink()
-            if found is not None:
-                run = cls(path, found, lock, resumed=True)
-                run._settle()
-                return run
-            for file in run_files.own_files(path):
-                file.unlink()
-            run = cls(path, manifest.new(plan), lock, resumed=False)
-            try:
-                for folder in run_files.FOLDERS:
-                    (path / folder).mkdir(exist_ok=True)
-                run._write_manifest()
-            except (OSError, RunError):
-                _unmake(path, made)
-                raise
+            if _goes_on(path, resume, overwrite):  # again: another process may have had it in between
+                run = cls._again(path, plan, lock, allow_mismatch, say)
+            else:
+                run = cls._anew(path, plan, lock, say, made)
             return run
         except OSError as error:
             lock.release()
@@ -106,6 +77,45 @@ class RunDirectory:
         except BaseException:
             lock.release()
             raise
+
+    @classmethod
+    def _again(cls, path: Path, plan: Plan, lock: filelock.BaseFileLock, allow: bool, say: Say) -> RunDirectory:
+        try:
+            found = manifest.read(path / run_files.MANIFEST)
+            manifest.agree(path, found, plan, allow)
+        except BrokenManifest as error:
+            if not allow:
+                raise
+            say(f"{str(error).split(';')[0]}; it is made again of the parts that are sound")
+            found = manifest.new(plan)
+            manifest.note(found, [("manifest", "damaged", "made of the parts")])
+            repair.rebuild(path, plan, found, say)
+            with contextlib.suppress(FileNotFoundError):
+                repair.put_aside(path, path / run_files.MANIFEST)
+        for folder in run_files.FOLDERS:
+            (path / folder).mkdir(exist_ok=True)
+        for file in run_files.temporaries(path):
+            file.unlink()
+        repair.settle(path, found, say)
+        run = cls(path, found, lock, resumed=True, allow=allow, say=say)
+        run._write_manifest()
+        return run
+
+    @classmethod
+    def _anew(cls, path: Path, plan: Plan, lock: filelock.BaseFileLock, say: Say, made: list[Path]) -> RunDirectory:
+        for file in (*run_files.temporaries(path), *run_files.own_files(path)):
+            file.unlink()
+        run = cls(path, manifest.new(plan), lock, resumed=False, allow=False, say=say)
+        try:
+            for folder in run_files.FOLDERS:
+                (path / folder).mkdir(exist_ok=True)
+            with contextlib.suppress(ValueError):  # of a function of the user's own there is no file
+                run_files.replace(path / run_files.SWEEP, sweep_files.text(plan).encode())
+            run._write_manifest()
+        except (OSError, RunError, WriteError):
+            _unmake(path, made)
+            raise
+        return run
 
     def __enter__(self) -> RunDirectory:
         return self
@@ -115,25 +125,20 @@ class RunDirectory:
 
     def write(
         self,
-        lanes: Sequence[Row],
-        curves: Sequence[Row],
-        policies: dict[tuple[int, int], dict[str, np.ndarray]],
-        episodes: Sequence[Row] = (),
+        tables: Mapping[str, pa.Table],
+        policies: Mapping[tuple[int, int], Weights],
+        about: Mapping[str, str] | None = None,
     ) -> None:
-        """Adds a batch of lanes that ended. Raises WriteError when it cannot be written."""
+        """Adds a batch of lanes that ended: ``tables`` by kind, ``lanes`` among them, and their policies, described by
+        ``about``. Raises WriteError when it cannot be written.
+        """
         # From the files, not the manifest: a kill between a commit and the manifest must not reuse its number.
         number = f"{1 + max((int(batch) for batch, _ in run_files.batches(self.path)), default=-1):05d}"
-        tensors = {
-            f"{config}/{seed}/{name}": np.ascontiguousarray(array)
-            for (config, seed), arrays in policies.items()
-            for name, array in arrays.items()
-        }
-        self._keep(f"policies/{number}.safetensors", safetensors.numpy.save(tensors))
-        for kind, rows in (("curves", curves), ("episodes", episodes), ("lanes", lanes)):
-            if rows:
-                sink = pa.BufferOutputStream()
-                pq.write_table(_table(kind, rows), sink, write_page_checksum=True, compression="zstd")
-                self._keep(f"parts/{number}-{kind}.parquet", sink.getvalue().to_pybytes())
+        if policies:
+            self._keep(f"{run_files.POLICIES}/{number}.safetensors", parts.policies_bytes(policies, about or {}))
+        for kind in sorted(tables, key=lambda kind: kind == "lanes"):
+            if len(tables[kind]):
+                self._keep(f"{run_files.PARTS}/{number}-{kind}.parquet", parts.table_bytes(tables[kind]))
         self._write_manifest()
 
     def agree_width(self, config: int, width: int) -> None:
@@ -142,92 +147,53 @@ class RunDirectory:
         Raises RunError where the run was begun with another width.
         """
         widths = self.manifest["widths"]
-        if widths.setdefault(str(config), width) != width:
-            raise RunError(
-                f"{self.path}: was made with width {widths[str(config)]}, this is {width}; choose another --out"
-            )
+        before = widths.setdefault(str(config), width)
+        if before != width:
+            if not self._allow:
+                raise RunError(
+                    f"{self.path}: was made otherwise: width was {before}, is {width}; choose another --out,"
+                    " or go on with --allow-mismatch"
+                )
+            manifest.note(self.manifest, [(f"width of setting {config}", before, width)])
+            widths[str(config)] = width
         self._write_manifest()
 
-    def rows(self, kind: str) -> list[Row]:
-        """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``."""
-        return read_rows(self.path, kind)
+    def decide(self, rung: Mapping[str, object]) -> None:
+        """Records what halving decided at a rung."""
+        self.manifest["rungs"].append(dict(rung))
+        self._write_manifest()
 
-    def policy(self, config: int, seed: int) -> dict[str, np.ndarray]:
-        """A lane's final weights by the names that ``flatten`` gives them, ``table`` for a table; {} without any."""
-        prefix = f"{config}/{seed}/"
-        found: dict[str, np.ndarray] = {}
-        for _, file in run_files.batches(self.path):
-            if file.suffix == ".safetensors":
-                with safetensors.safe_open(file, "numpy") as tensors:
-                    names = [name for name in tensors.keys() if name.startswith(prefix)]  # noqa: SIM118
-                    found |= {name.removeprefix(prefix): tensors.get_tensor(name) for name in names}
-        return found
+    def table(self, kind: str) -> pa.Table | None:
+        """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``; None without any."""
+        return parts.read(self.path, kind)
 
-    def _settle(self) -> None:
-        """Drops what a kill left of a batch before its commit, and sees that all else is as it was written."""
-        batches = list(run_files.batches(self.path))
-        committed = {number for number, file in batches if file.name.endswith("-lanes.parquet")}
-        for number, file in batches:
-            if number not in committed:
-                file.unlink()
-        hashes = self.manifest["files"]
-        hashes = {name: digest for name, digest in hashes.items() if run_files.batch(Path(name)) in committed}
-        for name, digest in hashes.items():
-            file = self.path / name
-            if not file.is_file() or _sha256(file.read_bytes()) != digest:
-                raise RunError(f"{file}: is damaged; --overwrite starts anew")
-        for number, file in batches:
-            name = f"{file.parent.name}/{file.name}"
-            if number in committed and name not in hashes:  # a kill came between the commit and the manifest
-                _check(file)
-                hashes[name] = _sha256(file.read_bytes())
-        self.manifest["files"] = hashes
+    def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """A lane's final weights by name, and what describes them; both empty where it has none."""
+        return parts.read_policy(self.path, config, seed)
 
     def _keep(self, name: str, data: bytes) -> None:
-        self._replace(name, data)
-        self.manifest["files"][name] = _sha256(data)
-
-    def _replace(self, name: str, data: bytes) -> None:
-        target = self.path / name
-        temporary = run_files.temporary(target)
-        try:
-            with open(temporary, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(target)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-            raise WriteError(f"{target}: {error.strerror}") from None
+        run_files.replace(self.path / name, data)
+        self.manifest["files"][name] = run_files.sha256(data)
 
     def _write_manifest(self) -> None:
-        self._replace(run_files.MANIFEST, json.dumps(self.manifest, indent=1).encode())
+        self.manifest["process"] = os.getpid()
+        run_files.replace(self.path / run_files.MANIFEST, json.dumps(self.manifest, indent=1).encode())
 
 
-def read_rows(path: Path, kind: str) -> list[Row]:
-    """The committed rows of one table of a run directory, sorted by setting and seed."""
-    committed = {number for number, file in run_files.batches(path) if file.name.endswith("-lanes.parquet")}
-    files = [
-        file
-        for number, file in run_files.batches(path)
-        if number in committed and file.name.endswith(f"-{kind}.parquet")
-    ]
-    rows = [row for file in files for row in pq.read_table(file).to_pylist()]
-    return sorted(rows, key=lambda row: (row["config"], row["seed"]))
+Say = Callable[[str], None]
 
 
-def flatten(policy: Any) -> dict[str, np.ndarray]:
-    """A policy's arrays by path: ``table`` for a table, ``params.Linear_0.kernel`` and so on for a network."""
-    if isinstance(policy, dict):
-        return {
-            f"{name}.{rest}" if rest else name: array
-            for name, branch in policy.items()
-            for rest, array in flatten(branch).items()
-        }
-    if isinstance(policy, (list, tuple)):
-        return flatten({str(i): branch for i, branch in enumerate(policy)})
-    return {"": np.asarray(policy)}
+def _locked(path: Path) -> filelock.BaseFileLock:
+    """The directory's lock. The process that has it stands in the manifest: opening the lock's file empties it."""
+    lock = filelock.FileLock(path / run_files.LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except filelock.Timeout:
+        who = "another process"
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+            who = f"process {int(json.loads((path / run_files.MANIFEST).read_text())['process'])}"
+        raise Locked(f"{path}: {who} is writing to it") from None
+    return lock
 
 
 def _goes_on(path: Path, resume: bool, overwrite: bool) -> bool:
@@ -252,29 +218,9 @@ def _says_run(marked: Path) -> bool:
 
 def _unmake(path: Path, made: list[Path]) -> None:
     """Takes back a directory that could not be begun: the empty folders of a run, and those made on the way."""
-    with contextlib.suppress(OSError):
-        (path / run_files.LOCK).unlink()
+    for name in (run_files.LOCK, run_files.SWEEP):
+        with contextlib.suppress(OSError):
+            (path / name).unlink()
     for folder in (*(path / name for name in run_files.FOLDERS), *made):
         with contextlib.suppress(OSError):
             folder.rmdir()  # leaves one that holds anything
-
-
-def _check(file: Path) -> None:
-    """Raises RunError for a file without a hash that cannot be read."""
-    try:
-        if file.suffix == ".parquet":
-            pq.read_table(file, page_checksum_verification=True)
-        else:
-            safetensors.numpy.load_file(file)
-    except (OSError, pa.ArrowException, safetensors.SafetensorError):
-        raise RunError(f"{file}: is damaged; --overwrite starts anew") from None
-
-
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-def _table(kind: str, rows: Sequence[Row]) -> pa.Table:
-    """Rows as a table whose types do not depend on which values happen to be None."""
-    types = _TYPES[kind]
-    return pa.table({name: pa.array([row[name] for row in rows], types.get(name)) for name in rows[0]})

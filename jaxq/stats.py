@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+import statistics
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +21,18 @@ class Estimate(NamedTuple):
     high: float | None
 
 
+class Survival(NamedTuple):
+    """Steps of a survival curve: share[i] of the seeds is unsolved from times[i] on. Arrays of one length.
+
+    low and high are the ends of the 95 % interval of share, NaN where there is none.
+    """
+
+    times: np.ndarray
+    share: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
 def share(successes: int, trials: int) -> Estimate:
     """Share of successes with Wilson's interval (Wilson, 1927). Raises ValueError without a trial.
 
@@ -31,35 +45,81 @@ def share(successes: int, trials: int) -> Estimate:
     return Estimate(successes / trials, float(interval.low), float(interval.high))
 
 
-def interquartile_mean(values: Sequence[float]) -> Estimate:
-    """Mean of the middle half with a percentile bootstrap interval over seeds.
+def mean(values: Sequence[float]) -> Estimate:
+    """Mean with a percentile bootstrap interval over seeds.
 
-    Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statistical Precipice*, 2021. No value without a
-    seed, no interval with one.
+    No value without a seed, no interval with one. Raises ValueError on a value that is not finite. Efron,
+    *Bootstrap Methods: Another Look at the Jackknife*, 1979.
+    """
+    return _trimmed_mean("values", values, 0)
+
+
+def median(values: Sequence[float]) -> Estimate:
+    """Median, otherwise as ``mean``.
+
+    >>> median([4.0, 1.0, 2.0, 100.0]).value
+    3.0
+    """
+    return _trimmed_mean("values", values, (len(values) - 1) // 2)
+
+
+def interquartile_mean(values: Sequence[float]) -> Estimate:
+    """Mean of the middle half, otherwise as ``mean``.
+
+    Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statistical Precipice*, 2021.
 
     >>> interquartile_mean([0.0, 1.0, 3.0, 100.0]).value
     2.0
     """
-    array = np.asarray(values, float)
-    if array.size == 0:
+    return _trimmed_mean("values", values, len(values) // 4)
+
+
+def paired_difference(a: Sequence[float], b: Sequence[float]) -> Estimate:
+    """Mean of a_i - b_i over the seeds i that both settings ran, otherwise as ``mean``: the pairs are resampled.
+
+    Raises ValueError also when a and b differ in length.
+
+    >>> paired_difference([3.0, 5.0], [1.0, 1.0]).value
+    3.0
+    """
+    ours, theirs = _numbers("a", a), _numbers("b", b)
+    if ours.size != theirs.size:
+        raise ValueError(f"b: {theirs.size} values must be as many as those of a, {ours.size}")
+    return _trimmed_mean("a - b", ours - theirs, 0)
+
+
+def probability_of_improvement(a: Sequence[float], b: Sequence[float]) -> Estimate:
+    """P(X > Y) + P(X = Y) / 2 for a seed X of a and a seed Y of b: Mann and Whitney's U over the number of pairs.
+
+    The percentile bootstrap interval resamples the seeds of a and those of b independently. No value when either is
+    empty, no interval when either has one seed. Infinite values are ranked. Raises ValueError on NaN. Agarwal et
+    al., 2021.
+
+    >>> probability_of_improvement([1.0, 3.0], [0.0, 3.0]).value
+    0.625
+    """
+    ours, theirs = _numbers("a", a, infinite=True), _numbers("b", b, infinite=True)
+    if not ours.size or not theirs.size:
         return Estimate(None, None, None)
-    if array.size == 1:
-        return Estimate(float(array[0]), None, None)
-    value = float(_scipy_stats().trim_mean(array, 0.25))
-    return Estimate(value, *_bootstrap(array, _iqm))
+    levels = np.unique(np.concatenate((ours, theirs)))
+    x, y = (np.searchsorted(levels, np.sort(sample)) for sample in (ours, theirs))
+    statistic = functools.partial(_improvement, levels=levels.size)
+    value = float(statistic(x[None], y[None])[0])
+    return Estimate(value, *(_bootstrap(statistic, x, y) if min(x.size, y.size) > 1 else (None, None)))
 
 
 def median_time(times: Sequence[float | None]) -> float | None:
     """Median time to success over all seeds, where those that never succeeded (None) count as later than all others.
 
-    None when half of the seeds or more never succeeded: the median is then beyond what was watched.
+    None when half of the seeds or more never succeeded: the median is then beyond what was watched. Raises ValueError
+    on NaN.
 
     >>> median_time([10, None, 30])
     30.0
     """
     if not times:
         return None
-    middle = float(np.median([np.inf if time is None else time for time in times]))
+    middle = float(np.median(_numbers("times", [np.inf if time is None else time for time in times], infinite=True)))
     return middle if np.isfinite(middle) else None
 
 
@@ -79,34 +139,140 @@ def time_to_success(times: Sequence[float | None]) -> Estimate:
     return Estimate(value, low, high)
 
 
-def mean(values: Sequence[float]) -> Estimate:
-    """Mean with a percentile bootstrap interval over seeds. No value without a seed, no interval with one."""
-    if len(values) < 2:
-        return Estimate(float(values[0]) if values else None, None, None)
-    return Estimate(float(np.mean(values)), *_bootstrap(np.asarray(values, float), np.mean))
+def kaplan_meier_median(times: Sequence[float], observed: Sequence[bool]) -> Estimate:
+    """Median time to success, the first t with S(t) <= 1/2, which counts seeds that were not watched to the end.
+
+    S is ``survival``'s curve, and the arguments and what is raised are its too. The interval inverts that of S: its
+    ends are the first t with low(t) <= 1/2 and with high(t) <= 1/2. Value and ends are None beyond what was watched;
+    no interval with one seed. Brookmeyer & Crowley, *A Confidence Interval for the Median Survival Time*, 1982.
+
+    >>> kaplan_meier_median([10, 20, 30], [True, False, True]).value
+    30.0
+    """
+    curve = survival(times, observed)
+    # S is a product of fractions: where it is exactly 1/2, rounding may leave it just above
+    reached = (np.flatnonzero(row <= 0.5 + 1e-10) for row in (curve.share, curve.low, curve.high))
+    return Estimate(*(float(curve.times[steps[0]]) if steps.size else None for steps in reached))
 
 
-def _bootstrap(array: np.ndarray, statistic: Callable[..., Any]) -> tuple[float, float]:
-    """Ends of the percentile bootstrap interval of ``statistic(sample, axis=...)``."""
-    interval = (
-        _scipy_stats()
-        .bootstrap(
-            (array,),
-            statistic,
-            n_resamples=RESAMPLES,
-            confidence_level=CONFIDENCE,
-            method="percentile",
-            vectorized=True,
-            rng=np.random.default_rng(0),  # the same data give the same interval
-            batch=max(1, 4_000_000 // array.size),
-        )
-        .confidence_interval
-    )
-    return float(interval.low), float(interval.high)
+def survival(times: Sequence[float], observed: Sequence[bool]) -> Survival:
+    """Kaplan and Meier's share of seeds still unsolved after each of the times, from time 0 with share 1.
+
+    Seed i was solved at times[i] where observed[i], else last seen there unsolved: at infinity, it outlasts all
+    others. S(t) = prod (1 - d_j / n_j) over the t_j <= t, at which d_j of n_j seeds still watched were solved. Its
+    interval is Greenwood's, made for log(-log(S)): S^exp(+-z s) with s^2 = sum d_j / (n_j (n_j - d_j)) / log(S)^2.
+    This is void at share 1 (NaN); at share 0, low is 0 and high stays what it was. Empty arrays without a seed, no
+    interval with one. Raises ValueError on NaN, negative times, a success at infinity and unequal lengths.
+    Kalbfleisch & Prentice, *The Statistical Analysis of Failure Time Data*, 1980.
+    """
+    ended, solved = _numbers("times", times, infinite=True), np.asarray(observed, bool)
+    if ended.size != solved.size:
+        raise ValueError(f"observed: {solved.size} values must be as many as the times, {ended.size}")
+    if (ended < 0).any():
+        raise ValueError(f"times: {ended.min()} must be at least 0")
+    if np.isinf(ended[solved]).any():
+        raise ValueError("times: inf must not be observed, as it is no time of success")
+    if not ended.size:
+        return Survival(*np.empty((4, 0)))
+
+    at, row, seeds = np.unique(ended, return_inverse=True, return_counts=True)
+    at, seeds = np.insert(at, 0, 0.0), np.insert(seeds, 0, 0)
+    successes = np.bincount(row[solved] + 1, minlength=at.size)
+    watched = ended.size - np.cumsum(seeds) + seeds
+    share = np.cumprod((watched - successes) / watched)
+    low, high = np.full((2, at.size), np.nan)
+    if ended.size > 1:
+        inside = (share > 0) & (share < 1)  # of the other rows, those before have no success and one may come after
+        d, n, within = successes[inside], watched[inside], share[inside]
+        z = statistics.NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
+        width = z * np.sqrt(np.cumsum(d / (n * (n - d)))) / -np.log(within)
+        low[inside], high[inside] = within ** np.exp(width), within ** np.exp(-width)
+        if share[-1] == 0:
+            low[-1], high[-1] = 0, high[-2]
+    finite = np.isfinite(at)
+    return Survival(at[finite], share[finite], low[finite], high[finite])
 
 
-def _iqm(sample: np.ndarray, axis: int) -> np.ndarray:
-    return np.asarray(_scipy_stats().trim_mean(sample, 0.25, axis=axis))
+def area_under_curve(steps: Sequence[float], values: Sequence[float], end: float) -> float | None:
+    """Area under the learning curve of one lane over its length: the average of a piecewise constant curve.
+
+    sum_i values[i] (steps[i + 1] - steps[i]) / (end - steps[0]), where end follows the last step: before the first
+    nothing is known. Values of NaN are left out as if not there. None without a value, and the value itself where
+    the curve has no length. Raises ValueError when the numbers of steps and values differ, steps do not rise, end is
+    before the last or anything else is not finite.
+
+    >>> area_under_curve([100, 200, 400], [0.0, 1.0, 4.0], 500)
+    1.5
+    """
+    at, heights = _numbers("steps", steps), np.asarray(values, float)
+    if at.size != heights.size:
+        raise ValueError(f"values: {heights.size} must be as many as the steps, {at.size}")
+    known = ~np.isnan(heights)
+    at, heights = at[known], _numbers("values", np.where(known, heights, 0.0))[known]
+    if not at.size:
+        return None
+    lengths = np.diff(at, append=_numbers("end", [end]))
+    if (lengths[:-1] <= 0).any():
+        raise ValueError(f"steps: {at.tolist()} must rise")
+    if lengths[-1] < 0:
+        raise ValueError(f"end: {end} must be at least the last step, {at[-1]}")
+    return float(heights @ lengths / lengths.sum()) if lengths.any() else float(heights[0])
+
+
+def _numbers(name: str, values: Sequence[float] | np.ndarray, infinite: bool = False) -> np.ndarray:
+    """The values as an array. Raises ValueError on NaN and, unless ``infinite``, on infinite ones."""
+    array = np.asarray(values, float)
+    wrong = np.flatnonzero(np.isnan(array) if infinite else ~np.isfinite(array))
+    if wrong.size:
+        raise ValueError(f"{name}[{wrong[0]}]: {array[wrong[0]]} must be a {'' if infinite else 'finite '}number")
+    return array
+
+
+def _trimmed_mean(name: str, values: Sequence[float] | np.ndarray, cut: int) -> Estimate:
+    """Mean of the sorted values less ``cut`` at either end: the mean, the interquartile mean and the median."""
+    ordered = np.sort(_numbers(name, values))
+    if not ordered.size:
+        return Estimate(None, None, None)
+    kept = slice(cut, ordered.size - cut)
+    value = float(ordered[kept].mean())
+    if ordered.size == 1:
+        return Estimate(value, None, None)
+    return Estimate(value, *_bootstrap(lambda rows: rows[:, kept].mean(1), ordered))
+
+
+def _improvement(x: np.ndarray, y: np.ndarray, levels: int) -> np.ndarray:
+    """P(X > Y) + P(X = Y) / 2 in each row of x [rows, n] and y [rows, m], integers below ``levels``."""
+    first = levels * np.arange(len(x))[:, None]
+    counts = (np.bincount((first + z).ravel(), minlength=first.size * levels).reshape(-1, levels) for z in (x, y))
+    ours, theirs = counts
+    return (ours * (theirs.cumsum(1) - theirs / 2)).sum(1) / (x.shape[1] * y.shape[1])
+
+
+def _bootstrap(statistic: Callable[..., np.ndarray], *samples: np.ndarray) -> tuple[float, float]:
+    """Ends of the percentile bootstrap interval: scipy.stats.bootstrap's, without its cost.
+
+    ``statistic`` gives [rows] for resamples [rows, n] of each sample [n], sorted when that is.
+    """
+    sizes = tuple(sample.size for sample in samples)
+    # a sweep asks for the same few sizes thousands of times; 32 of them are at most 128 MB
+    drawn = _kept_resamples(sizes) if sum(sizes) <= 256 else _resamples(sizes)
+    values = [statistic(*map(np.take, samples, rows)) for rows in drawn]
+    low, high = np.quantile(np.concatenate(values), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)
+
+
+def _resamples(sizes: tuple[int, ...]) -> Iterator[list[np.ndarray]]:
+    """Indices [rows, n] of the resamples of samples of these sizes, each row sorted, RESAMPLES rows in all."""
+    rng = np.random.default_rng(0)  # the same data give the same interval
+    batch = max(1, 4_000_000 // sum(sizes))
+    for start in range(0, RESAMPLES, batch):
+        rows = min(batch, RESAMPLES - start)
+        yield [np.sort(rng.integers(size, size=(rows, size))) for size in sizes]
+
+
+@functools.lru_cache(maxsize=32)
+def _kept_resamples(sizes: tuple[int, ...]) -> Iterable[list[np.ndarray]]:
+    return list(_resamples(sizes))
 
 
 def _scipy_stats() -> Any:

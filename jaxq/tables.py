@@ -1,137 +1,176 @@
-"""Rows of the three tables, lanes, curves and episodes, and the summary per setting. A value that does not exist is
-None, never NaN.
+"""The three tables of a sweep, lanes, curves and episodes, as Arrow tables. A value that does not exist is null, never
+NaN.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import numpy as np
+import pyarrow as pa
 
 from jaxq import stats
-from jaxq.presets import Settings
+from jaxq.plans import shown
+from jaxq.presets import Training
+from jaxq.saved_policy import flatten
+from jaxq.settings import Settings
 from jaxq.tally import Curve, Result
-
-Row = dict[str, Any]
 
 #: Finished training episodes that ``final_return`` averages.
 LAST_EPISODES = 50
 
+#: What became of a lane, after the hyperparameters.
+OUTCOMES = {
+    "status": pa.string(),
+    "episodes": pa.int64(),
+    "env_steps": pa.int64(),
+    "updates": pa.int64(),
+    "solved_at_episode": pa.int64(),
+    "solved_at_step": pa.int64(),
+    "diverged_at_step": pa.int64(),
+    "stopped_at_rung": pa.int64(),
+    "final_return": pa.float64(),
+    "eval_return": pa.float64(),
+    "area_under_curve": pa.float64(),
+}
+KEY = {"config": pa.int64(), "seed": pa.int64()}
+_COUNTS = ("env_steps", "episodes", "updates")
+CURVES = pa.schema(KEY | {name: pa.int64() if name in _COUNTS else pa.float64() for name in Curve._fields})
+EPISODES = pa.schema(
+    KEY
+    | {"episode": pa.int64(), "env_steps": pa.int64(), "length": pa.int64(), "return": pa.float64()}
+    | {"max_q": pa.float64()}
+)
 
-def lane_row(result: Result, settings: Settings) -> Row:
-    """One row per lane: every hyperparameter by name, then what became of it."""
-    last = result.episodes.total[-LAST_EPISODES:]
-    solved, diverged = result.status == "solved", result.status == "diverged"
-    episodes = len(result.episodes.total)
-    return {
-        "config": result.lane.config,
-        "seed": result.lane.seed,
-        **_columns(settings),
-        "status": result.status,
-        "episodes": episodes,
-        "env_steps": result.env_steps,
-        "updates": result.updates,
-        "solved_at_episode": episodes if solved else None,
-        "solved_at_step": result.env_steps if solved else None,
-        "diverged_at_step": result.env_steps if diverged else None,
-        "stopped_at_rung": None,
-        "final_return": _number(last.mean()) if last.size else None,
-        "eval_return": None if result.eval_returns is None else _number(result.eval_returns.mean()),
-    }
+
+def lanes_schema(settings: Settings) -> pa.Schema:
+    """The columns of ``lanes``: every hyperparameter by name, then what became of the lane."""
+    hyperparameters = {name: _type(info.annotation) for name, info in settings.fields().items()}
+    return pa.schema(KEY | hyperparameters | OUTCOMES)
+
+
+def lanes(results: Sequence[Result], settings: Sequence[Settings], rung: int | None = None) -> pa.Table:
+    """A row per lane that ended; ``settings[config]`` are its hyperparameters. ``rung``: they were stopped there.
+
+    Lanes of a function have what it returned in the place of what became of a training, a column per leaf.
+    """
+    if not isinstance(settings[results[0].lane.config], Training):
+        return _outputs(results, settings)
+    rows = []
+    for result in results:
+        done = result.episodes.total[-LAST_EPISODES:]
+        solved, diverged = result.status == "solved", result.status == "diverged"
+        episodes = len(result.episodes.total)
+        known = np.isfinite(result.curve.train_return)
+        rows.append(
+            {
+                "config": result.lane.config,
+                "seed": result.lane.seed,
+                **_columns(settings[result.lane.config]),
+                "status": result.status,
+                "episodes": episodes,
+                "env_steps": result.env_steps,
+                "updates": result.updates,
+                "solved_at_episode": episodes if solved else None,
+                "solved_at_step": result.env_steps if solved else None,
+                "diverged_at_step": result.env_steps if diverged else None,
+                "stopped_at_rung": rung,
+                "final_return": _number(done.mean()) if done.size else None,
+                "eval_return": None if result.eval_returns is None else _number(result.eval_returns.mean(dtype=float)),
+                "area_under_curve": stats.area_under_curve(
+                    result.curve.env_steps[known], result.curve.train_return[known], result.env_steps
+                ),
+            }
+        )
+    return pa.Table.from_pylist(rows, lanes_schema(settings[0]))
+
+
+def _outputs(results: Sequence[Result], settings: Sequence[Settings]) -> pa.Table:
+    columns: dict[str, list[Any]] = {}
+    for result in results:
+        key = {"config": result.lane.config, "seed": result.lane.seed}
+        output = {name: _output(value) for name, value in flatten(result.policy, "result").items()}
+        row = {**key, **_columns(settings[result.lane.config]), "status": result.status, **output}
+        for name, value in row.items():
+            columns.setdefault(name, []).append(value)
+    return pa.table({name: pa.array(values) for name, values in columns.items()})
+
+
+def _output(value: np.ndarray) -> Any:
+    """A leaf as a cell; what is not finite is null."""
+    if value.dtype.kind == "f":
+        value = np.where(np.isfinite(value), value.astype(float), None)
+    return value.tolist()
+
+
+def curves(results: Sequence[Result]) -> pa.Table:
+    """A row per lane and segment; a lane that was evaluated at its end has that return in its last row."""
+    columns = [_lane_columns(results, [len(result.curve.env_steps) for result in results])]
+    for name in Curve._fields:
+        parts = [getattr(result.curve, name) for result in results]
+        if name == "eval_return":
+            parts = [_with_last(part, result) for part, result in zip(parts, results, strict=True)]
+        columns.append([_array(np.concatenate(parts), CURVES.field(name).type)])
+    return pa.Table.from_arrays([column for group in columns for column in group], schema=CURVES)
+
+
+def episodes(results: Sequence[Result]) -> pa.Table:
+    """A row per finished training episode; ``episode`` counts from 0."""
+    counts = [len(result.episodes.length) for result in results]
+    columns = [*_lane_columns(results, counts), pa.array(np.concatenate([np.arange(n) for n in counts]))]
+    for name in ("env_steps", "length", "total", "max_q"):
+        kind = EPISODES.field("return" if name == "total" else name).type
+        columns.append(_array(np.concatenate([getattr(result.episodes, name) for result in results]), kind))
+    return pa.Table.from_arrays(columns, schema=EPISODES)
+
+
+def in_order(table: pa.Table) -> pa.Table:
+    """Sorted by setting and seed, and in the order of time within a lane."""
+    time = [name for name in ("episode", "env_steps") if name in table.column_names and "status" not in table.schema.names]
+    return table.sort_by([(name, "ascending") for name in ("config", "seed", *time[:1])])
+
+
+def _lane_columns(results: Sequence[Result], counts: Sequence[int]) -> list[pa.Array]:
+    return [
+        pa.array(np.repeat(np.array([which(result) for result in results], np.int64), counts))
+        for which in (lambda result: result.lane.config, lambda result: result.lane.seed)
+    ]
+
+
+def _with_last(returns: np.ndarray, result: Result) -> np.ndarray:
+    if len(returns) and result.eval_returns is not None:
+        returns = returns.copy()
+        returns[-1] = result.eval_returns.mean(dtype=float)
+    return returns
+
+
+def _array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
+    if pa.types.is_integer(kind):
+        return pa.array(values.astype(np.int64), kind)
+    values = values.astype(float)
+    return pa.array(values, kind, mask=~np.isfinite(values))
 
 
 @lru_cache(maxsize=1024)
-def _columns(settings: Settings) -> Row:
+def _columns(settings: Settings) -> dict[str, Any]:
     """Every hyperparameter by name. Many lanes share one setting."""
-    return {name: _plain(value) for name, value in settings.model_dump().items()}
-
-
-def curve_rows(result: Result) -> list[Row]:
-    """One row per lane and segment."""
-    counts = (column.astype(int).tolist() for column in result.curve[:3])
-    names = ("config", "seed", *Curve._fields, "eval_return")
-    key = result.lane.config, result.lane.seed
-    rows: list[Row] = [
-        dict(zip(names, (*key, *values, None), strict=True))
-        for values in zip(*counts, *map(_numbers, result.curve[3:]), strict=True)
-    ]
-    if rows and result.eval_returns is not None:
-        rows[-1]["eval_return"] = _number(result.eval_returns.mean())
-    return rows
-
-
-def episode_rows(result: Result) -> list[Row]:
-    """One row per finished episode; ``episode`` counts from 0."""
-    key = {"config": result.lane.config, "seed": result.lane.seed}
-    return [
-        {
-            **key,
-            "episode": i,
-            "env_steps": int(steps),
-            "length": int(length),
-            "return": _number(total),
-            "max_q": _number(max_q),
-        }
-        for i, (steps, length, total, max_q) in enumerate(zip(*result.episodes, strict=True))
-    ]
-
-
-def summary(lanes: Iterable[Row], varied: Sequence[str]) -> list[Row]:
-    """One row per setting, in the order of ``config``: what varied, and statistics over its seeds.
-
-    Diverged lanes are counted, take part in the solved share and in the times to success, and have no return.
-    """
-    by_config: dict[int, list[Row]] = {}
-    for row in lanes:
-        by_config.setdefault(row["config"], []).append(row)
-    return [_setting(config, rows, varied) for config, rows in sorted(by_config.items())]
-
-
-def _setting(config: int, rows: list[Row], varied: Sequence[str]) -> Row:
-    one = len(rows) == 1
-    successes = sum(row["status"] == "solved" for row in rows)
-    solved = stats.Estimate(float(successes), None, None) if one else stats.share(successes, len(rows))
-    if rows[0].get("success_window") == 0:  # nobody looks for success: none is not a share of 0
-        solved = stats.Estimate(None, None, None)
-    kept = [row for row in rows if row["status"] != "diverged"]
-    final = stats.interquartile_mean([row["final_return"] for row in kept if row["final_return"] is not None])
-    greedy = stats.interquartile_mean([row["eval_return"] for row in kept if row["eval_return"] is not None])
     return {
-        "config": config,
-        **{name: rows[0][name] for name in varied},
-        "seeds": len(rows),
-        "solved": solved.value,
-        "solved_low": solved.low,
-        "solved_high": solved.high,
-        "median_episodes": stats.median_time([row["solved_at_episode"] for row in rows]),
-        "median_env_steps": stats.median_time([row["solved_at_step"] for row in rows]),
-        "final_return": final.value,
-        "final_return_low": final.low,
-        "final_return_high": final.high,
-        "eval_return": greedy.value,
-        "eval_return_low": greedy.low,
-        "eval_return_high": greedy.high,
-        "diverged": sum(row["status"] == "diverged" for row in rows),
+        name: shown(value) if isinstance(value, tuple) else value.item() if isinstance(value, np.generic) else value
+        for name, value in settings.flat().items()
     }
+
+
+def _type(annotation: Any) -> pa.DataType:
+    """The column that holds a hyperparameter of this kind."""
+    kinds = {annotation} if get_origin(annotation) is tuple else set(get_args(annotation)) or {annotation}
+    for kind, column in ((bool, pa.bool_()), (int, pa.int64()), (float, pa.float64())):
+        if kinds <= {kind, type(None)}:
+            return column
+    return pa.string()  # names, and layer sizes as 128,128
 
 
 def _number(value: Any) -> float | None:
     value = float(value)
-    return value if math.isfinite(value) else None
-
-
-def _numbers(column: np.ndarray) -> list[float | None]:
-    values: list[float | None] = column.tolist()
-    for i in np.flatnonzero(~np.isfinite(column)).tolist():
-        values[i] = None
-    return values
-
-
-def _plain(value: Any) -> Any:
-    """A structural value as what JSON and Parquet hold."""
-    if isinstance(value, tuple):
-        return ",".join(str(part) for part in value)
-    return value.item() if isinstance(value, np.generic) else value
+    return value if np.isfinite(value) else None

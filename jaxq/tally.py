@@ -5,6 +5,7 @@ A segment is booked for the whole group at once; what one lane did is picked out
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,11 +17,44 @@ from jaxq.types import Clock, Hypers, PyTree
 
 
 class Lane(NamedTuple):
-    """One training to be done: a setting's index and numbers, and a seed index."""
+    """One training to be done: a setting's index and numbers, and a seed index.
+
+    It is evaluated every ``eval_every`` env steps, at the end of a segment, if that is not 0. It pauses at the end of
+    the first segment after which it has made ``pause_at.env_steps`` steps or ``pause_at.episodes`` episodes. ``resume``
+    loads what it was when it was saved; None, or where that gives None, it begins anew.
+    """
 
     config: int
     seed: int
     hypers: Hypers
+    eval_every: int = 0
+    pause_at: PauseAt | None = None
+    resume: Callable[[], Saved | None] | None = None
+
+
+class PauseAt(NamedTuple):
+    """Where lanes pause."""
+
+    env_steps: float
+    episodes: float
+
+
+class Books(NamedTuple):
+    """What a lane has done until it was saved, as arrays."""
+
+    counts: np.ndarray  # [3] env steps, updates, episodes
+    ended: np.ndarray  # [4, E] as in a segment's record
+    curve: np.ndarray  # [8, S], the fields of Curve
+    max_q: np.ndarray | None  # [updates], where it is kept
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A lane between two segments: all that it needs to go on, bit for bit."""
+
+    lane: Lane
+    state: PyTree  # NumPy leaves, of one lane
+    books: Books
 
 
 class Episodes(NamedTuple):
@@ -43,11 +77,12 @@ class Curve(NamedTuple):
     loss: np.ndarray
     max_q: np.ndarray
     epsilon: np.ndarray
+    eval_return: np.ndarray  # NaN where there was no evaluation
 
 
 @dataclass(frozen=True)
 class Result:
-    """A lane that ended."""
+    """A lane that ended, or paused: then ``saved`` is what it was."""
 
     lane: Lane
     status: str
@@ -58,6 +93,7 @@ class Result:
     policy: PyTree
     eval_returns: np.ndarray | None  # None for a diverged lane
     max_q: np.ndarray | None  # [updates] of every update, when asked for
+    saved: Saved | None = None
 
 
 class Done(NamedTuple):
@@ -69,6 +105,7 @@ class Done(NamedTuple):
     episodes: Episodes
     curve: Curve
     max_q: np.ndarray | None
+    books: Books
 
 
 class _Record(NamedTuple):
@@ -77,7 +114,7 @@ class _Record(NamedTuple):
     ended: np.ndarray  # [4, E]: environment, steps before the episode's last, return, max_q at its last step
     starts: np.ndarray  # [L + 1] each slot's first column of these
     valid: np.ndarray  # [L] rounds that count
-    curve: np.ndarray  # [7, L], the fields of Curve
+    curve: np.ndarray  # [8, L], the fields of Curve
     max_q: np.ndarray | None  # [U, L], where it is kept
 
 
@@ -95,11 +132,13 @@ class Tally:
         self.first = [0] * program.width  # each lane's first record, counted from the beginning
         self.records: list[_Record] = []
         self.dropped = 0
+        self.before: list[Books] = [_NOTHING] * program.width  # of each lane, what it did before it was resumed
 
-    def enter(self, slot: int, lane: Lane) -> None:
-        """A lane takes a free slot."""
+    def enter(self, slot: int, lane: Lane, before: Books | None = None) -> None:
+        """A lane takes a free slot; ``before`` is what it has done already."""
         self.slots[slot], self.first[slot] = lane, self.dropped + len(self.records)
-        self.env_steps[slot] = self.updates[slot] = self.episodes[slot] = 0
+        self.before[slot] = before or _NOTHING
+        self.env_steps[slot], self.updates[slot], self.episodes[slot] = self.before[slot].counts.tolist()
         self.limits[:, slot] = max(1, lane.hypers.run.max_env_steps), max(1, lane.hypers.run.max_episodes)
 
     def book(self, which: np.ndarray, clock: Clock, log: Log) -> tuple[int, int]:
@@ -134,7 +173,10 @@ class Tally:
                 ended=np.array([n, tick, returns, max_q[u, lane]], float),
                 starts=np.concatenate([[0], np.cumsum(ended)]),
                 valid=valid,
-                curve=np.array([env_steps, episodes, updates, mean_return, mean_loss, mean_q, epsilon], float),
+                curve=np.array(
+                    [env_steps, episodes, updates, mean_return, mean_loss, mean_q, epsilon, np.full(width, np.nan)],
+                    float,
+                ),
                 max_q=max_q if self.keep_max_q and learned.any() else None,  # a warm-up has no updates
             )
         )
@@ -142,32 +184,55 @@ class Tally:
         self.env_steps, self.updates, self.episodes = env_steps, updates, episodes
         return made
 
-    def share(self) -> float:
-        """The parts of the lanes under way that are surely done, summed: a lane may end before its limits."""
+    def evaluated(self, slots: list[int], returns: np.ndarray) -> None:
+        """Notes the mean greedy return of these slots at the end of the segment that was booked last. returns [L]."""
+        self.records[-1].curve[Curve._fields.index("eval_return"), slots] = returns[slots]
+
+    def shares(self) -> np.ndarray:
+        """The part of each lane that is surely done, 0 in a free slot: it may end before its limits. [L]"""
         held = [lane is not None for lane in self.slots]
-        return float(np.minimum(1, np.max([self.env_steps, self.episodes] / self.limits, axis=0))[held].sum())
+        return np.where(held, np.minimum(1, np.max([self.env_steps, self.episodes] / self.limits, axis=0)), 0.0)
 
     def so_far(self, slot: int) -> Episodes:
         """The episodes that the lane in ``slot`` has finished."""
-        return _episodes(self._records_of(slot), slot, self.program.num_envs)
+        return _episodes(self._ended(slot), self.program.num_envs)
+
+    def books(self, slot: int) -> Books:
+        """What the lane in ``slot`` has done."""
+        before, records = self.before[slot], self._records_of(slot)
+        counts = np.array([self.env_steps[slot], self.updates[slot], self.episodes[slot]])
+        curves = [r.curve[:, slot, None] for r in records]
+        values = [r.max_q[: r.valid[slot], slot] for r in records if r.max_q is not None]
+        kept = [np.zeros(0, np.float32) if before.max_q is None else before.max_q, *values]
+        return Books(
+            counts=counts,
+            ended=self._ended(slot),
+            curve=np.concatenate([before.curve, *curves], axis=1),
+            max_q=np.concatenate(kept) if self.keep_max_q else None,
+        )
 
     def _records_of(self, slot: int) -> list[_Record]:
         return [r for r in self.records[self.first[slot] - self.dropped :] if r.valid[slot] > 0]
+
+    def _ended(self, slot: int) -> np.ndarray:
+        """The finished episodes of a slot, [4, E]."""
+        parts = [r.ended[:, r.starts[slot] : r.starts[slot + 1]] for r in self._records_of(slot)]
+        return np.concatenate([self.before[slot].ended, *parts], axis=1)
 
     def leave(self, slot: int) -> Done:
         """A lane frees its slot, and takes along what it has done. Raises ValueError for a free slot."""
         lane = self.slots[slot]
         if lane is None:
             raise ValueError(f"slot {slot} is free")
-        records = self._records_of(slot)
-        values = [r.max_q[: r.valid[slot], slot] for r in records if r.max_q is not None]
+        books = self.books(slot)
         done = Done(
             lane=lane,
             env_steps=int(self.env_steps[slot]),
             updates=int(self.updates[slot]),
-            episodes=_episodes(records, slot, self.program.num_envs),
-            curve=Curve(*(np.stack([r.curve[:, slot] for r in records], axis=1) if records else np.zeros((7, 0)))),
-            max_q=np.concatenate([np.zeros(0, np.float32), *values]) if self.keep_max_q else None,
+            episodes=_episodes(books.ended, self.program.num_envs),
+            curve=Curve(*books.curve),
+            max_q=books.max_q,
+            books=books,
         )
         self.slots[slot] = None
         in_use = [first for first, held in zip(self.first, self.slots, strict=True) if held is not None]
@@ -177,10 +242,29 @@ class Tally:
         return done
 
 
-def _episodes(records: list[_Record], slot: int, num_envs: int) -> Episodes:
-    """The finished episodes of a slot in these records."""
-    parts = [r.ended[:, r.starts[slot] : r.starts[slot + 1]] for r in records]
-    env, tick, returns, max_q = np.concatenate(parts, axis=1) if parts else np.zeros((4, 0))
+_NOTHING = Books(np.zeros(3, int), np.zeros((4, 0)), np.zeros((len(Curve._fields), 0)), None)
+
+
+def result_of(
+    lane: Lane, books: Books, num_envs: int, *, status: str, policy: PyTree, eval_returns: np.ndarray | None
+) -> Result:
+    """A lane that was saved, as a Result."""
+    return Result(
+        lane=lane,
+        status=status,
+        env_steps=int(books.counts[0]),
+        updates=int(books.counts[1]),
+        episodes=_episodes(books.ended, num_envs),
+        curve=Curve(*books.curve),
+        policy=policy,
+        eval_returns=eval_returns,
+        max_q=books.max_q,
+    )
+
+
+def _episodes(ended: np.ndarray, num_envs: int) -> Episodes:
+    """The finished episodes of a lane. Shapes: ended [4, E]."""
+    env, tick, returns, max_q = ended
     tick = tick.astype(int)
     length = np.empty_like(tick)
     for n in range(num_envs):

@@ -321,7 +321,7 @@ def test_the_library_gives_the_rows_of_the_command_line(swept):
     _, out, _ = swept
     numbers = {"max_episodes": 60, "success_steps": 30, "success_streak": 2}
     outcome = jaxq.sweep("q-learning", gamma=[0.9, 0.99], seeds=12, **numbers)
-    assert outcome.lanes == out["lanes"]
+    assert outcome.lanes.to_pylist() == out["lanes"]
     assert outcome.summary() == out["summary"]
     alone = jaxq.train("q-learning", gamma=0.99, **numbers)
     row = next(r for r in out["lanes"] if (r["config"], r["seed"]) == (1, 0))

@@ -153,8 +153,8 @@ def test_the_library_keeps_nothing_unasked(tmp_path, monkeypatch):
     for path in entries(tmp_path / "cache"):
         os.utime(path, (0, 0))
     again = jaxq.train("q-learning", cache=user_cache(), **{k: v for k, v in NUMBERS.items() if k != "seeds"})
-    assert cached.lanes == uncached.lanes
-    assert again.env_steps == cached.lanes[0]["env_steps"]
+    assert cached.lanes.equals(uncached.lanes)
+    assert again.env_steps == cached.lanes["env_steps"][0].as_py()
     assert all(path.stat().st_mtime > 0 for path in entries(tmp_path / "cache"))  # all were used
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from jaxq import executables, programs, sweeps, tally, workers
+from jaxq import executables, programs, shared, sweeps, tally, workers
 from jaxq import lanes as engine
 from jaxq.plans import plan
 from jaxq.runs import RunDirectory
@@ -85,7 +85,7 @@ def test_what_ended_in_the_segment_that_runs_when_books_fail_is_handed_on(table,
 
     got = []
     with monkeypatch.context() as patch:
-        patch.setattr(tally.Tally, "share", failing_on(6, tally.Tally.share))  # in the books of the sixth segment
+        patch.setattr(tally.Tally, "shares", failing_on(6, tally.Tally.shares))  # in the books of the sixth segment
         with pytest.raises(RuntimeError, match="no memory"):
             collect(start(table, lanes_of(table, 4000), 4000, workers=1), got)
     assert ended(6) < set(got) == ended(7)
@@ -107,14 +107,14 @@ def test_a_listener_that_fails_loses_nothing_that_ended(table, error):
 
 
 def test_ctrl_c_that_swallows_a_last_word_hangs_nobody(table, monkeypatch):
-    class Swallowing(engine.queue.SimpleQueue):
+    class Swallowing(shared.queue.SimpleQueue):
         def get(self, *args, **options):
             item = super().get(*args, **options)
-            if isinstance(item, workers.Ended):
+            if isinstance(item, shared.Ended):
                 raise KeyboardInterrupt
             return item
 
-    monkeypatch.setattr(workers.queue, "SimpleQueue", Swallowing)
+    monkeypatch.setattr(shared.queue, "SimpleQueue", Swallowing)
     got = []
     with pytest.raises(KeyboardInterrupt):
         collect(start(table, lanes_of(table, 100), 100, workers=2), got)
@@ -138,7 +138,7 @@ def test_after_a_long_segment_nobody_waits_for_company(table, monkeypatch, secon
 
 
 def test_ctrl_c_in_the_callers_thread_hands_on_what_ended(table, monkeypatch):
-    class Interrupted(engine.queue.SimpleQueue):
+    class Interrupted(shared.queue.SimpleQueue):
         calls = 0
 
         def get(self, *args, **options):
@@ -147,7 +147,7 @@ def test_ctrl_c_in_the_callers_thread_hands_on_what_ended(table, monkeypatch):
                 raise KeyboardInterrupt
             return super().get(*args, **options)
 
-    monkeypatch.setattr(engine.queue, "SimpleQueue", Interrupted)
+    monkeypatch.setattr(shared.queue, "SimpleQueue", Interrupted)
     seen, got = [], []
     with pytest.raises(KeyboardInterrupt):
         collect(start(table, lanes_of(table, 4000), 4000, on_progress=seen.append), got)
@@ -166,8 +166,9 @@ def test_ctrl_c_in_a_sweep_keeps_what_ended(tmp_path):
     with RunDirectory.open(tmp_path / "run", planned) as directory:
         last = []
         with pytest.raises(KeyboardInterrupt):
-            sweeps.run(planned, directory=directory, on_result=interrupt, on_progress=lambda p: last.append(p.done))
-        kept = directory.rows("lanes")
+            tell = sweeps.Listeners(result=interrupt, progress=lambda p: last.append(p.done))
+            sweeps.run(planned, directory=directory, tell=tell)
+        kept = directory.table("lanes").to_pylist()
     assert len(kept) == len({row["seed"] for row in kept}) == last[-1]
     assert 3 < len(kept) < 4000
 
@@ -196,6 +197,8 @@ def test_the_tail_begins_when_the_last_lane_has_its_slot(table):
 def test_env_steps_count_the_warm_up():
     tiny = {"hidden": (8,), "batch_size": 16, "learning_starts": 32, "buffer_size": 100, "max_env_steps": 300}
     done = []
-    outcome = sweeps.run(plan("article-dqn", seeds=5, **tiny), on_progress=lambda p: done.append(p.env_steps))
-    assert done[-1] == outcome.timing.env_steps == sum(row["env_steps"] for row in outcome.lanes) == 1500
-    assert outcome.timing.updates == sum(row["updates"] for row in outcome.lanes)
+    outcome = sweeps.run(
+        plan("article-dqn", seeds=5, **tiny), tell=sweeps.Listeners(progress=lambda p: done.append(p.env_steps))
+    )
+    assert done[-1] == outcome.timing.env_steps == sum(outcome.lanes["env_steps"].to_pylist()) == 1500
+    assert outcome.timing.updates == sum(outcome.lanes["updates"].to_pylist())

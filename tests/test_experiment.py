@@ -232,11 +232,11 @@ def test_the_window_rule_divides_by_the_window_even_before_it_is_full():
     limits = Limits(0, 0, np.float32(5.0), 0)
     state, lengths, solved = rule.init(), [10, 10, 1, 1, 6, 4, 30], []
     for length in lengths:
-        state, met = rule.update(state, jnp.array(True), jnp.array(length), limits)
+        state, met = rule.update(state, jnp.array(True), jnp.array(length), jnp.array(0.0), limits)
         solved.append(bool(met))
     expected = [sum(lengths[max(0, i - 3) : i + 1]) / 4 > 5.0 for i in range(len(lengths))]
     assert solved == expected
-    unchanged, _ = rule.update(state, jnp.array(False), jnp.array(99), limits)
+    unchanged, _ = rule.update(state, jnp.array(False), jnp.array(99), jnp.array(0.0), limits)
     jax.tree.map(np.testing.assert_array_equal, unchanged, state)
 
 
@@ -248,7 +248,7 @@ def test_a_mean_equal_to_the_threshold_is_not_above_it_in_a_compiled_program_eit
     @jax.vmap
     def judged(lengths, threshold):
         def body(state, length):
-            return rule.update(state, jnp.array(True), length, Limits(0, 0, threshold, 0))
+            return rule.update(state, jnp.array(True), length, jnp.array(0.0), Limits(0, 0, threshold, 0))
 
         return jax.lax.scan(body, rule.init(), lengths)[1]
 
@@ -267,6 +267,6 @@ def test_the_streak_rule_wants_more_than_the_streak_and_starts_over_on_a_failure
     limits = Limits(0, 0, np.int32(9), np.int32(2))
     count, solved = rule.init(), []
     for length in (10, 10, 9, 10, 10, 10, 10):  # length 10 ends at 0-based step 9
-        count, met = rule.update(count, jnp.array(True), jnp.array(length), limits)
+        count, met = rule.update(count, jnp.array(True), jnp.array(length), jnp.array(0.0), limits)
         solved.append(bool(met))
     assert solved == [False, False, False, False, False, True, True]

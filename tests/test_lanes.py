@@ -172,12 +172,12 @@ def test_the_root_seed_changes_every_lane_and_alone_decides_it(game):
 
 def test_ended_lanes_are_evaluated_together_each_with_its_own_numbers():
     # No pole falls in fewer than 8 steps, so each episode is as long as its setting lets it be.
-    settings = settings_of("q-learning", max_steps=[3, 4, 5, 6, 7], **TABLE)
+    settings = settings_of("q-learning", **{"env.max_episode_steps": [3, 4, 5, 6, 7]}, **TABLE)
     numbers = [programs.hypers(one) for one in settings]
     compiled = executables.build(programs.program(settings[0], PRNG), numbers[0], PRNG)
     results = finish(compiled, [Lane(c, s, h) for s in range(4) for c, h in enumerate(numbers)], workers=1)
     for (config, _), result in results.items():
-        np.testing.assert_array_equal(result.eval_returns, settings[config].max_steps)
+        np.testing.assert_array_equal(result.eval_returns, settings[config].env.max_episode_steps)
 
 
 def test_a_diverging_lane_is_reported_and_changes_no_other_by_a_bit():
@@ -200,7 +200,7 @@ def test_a_diverging_lane_is_reported_and_changes_no_other_by_a_bit():
     [
         (
             "q-learning",
-            {"gamma": [0.5, 0.9], "alpha_min": [0.0, 0.1], "angle_bound": [0.3, 0.42], "max_steps": [9, 500]},
+            {"gamma": [0.5, 0.9], "alpha_min": [0.0, 0.1], "angle_bound": [0.3, 0.42], "env.max_episode_steps": [9, 500]},
         ),
         ("article-dqn", {"learning_rate": [1e-4, 1e-2], "tau": [0.1, 1.0], "target_period": [1, 7], **NETWORK}),
     ],

@@ -16,6 +16,7 @@ from benchmarks import beside
 from jaxq import success, sweeps
 from jaxq.bench import solve, worker
 from jaxq.experiment import Limits
+from jaxq.presets import preset, settle
 
 PEERS = Path(__file__).parent.parent / "benchmarks" / "peers"
 
@@ -32,7 +33,7 @@ def small(monkeypatch):
 
 
 def test_ours_trains_the_same_seeds_together_and_alone(small):
-    rows = sweeps.run(solve.planned("article-q")).lanes
+    rows = sweeps.run(solve.planned("article-q")).lanes.to_pylist()
     told = {}
     for how, together in (("together", 6), ("alone", 1)):
         assert solve.prepare("article-q", how)() == 6
@@ -48,7 +49,7 @@ def test_ours_trains_the_same_seeds_together_and_alone(small):
 def first_solved(rule, lengths, limits):
     state = rule.init()
     for i, length in enumerate(lengths):
-        state, met = rule.update(state, jnp.bool_(True), jnp.int32(length), limits)
+        state, met = rule.update(state, jnp.bool_(True), jnp.int32(length), jnp.float32(0), limits)
         if met:
             return i
     return None
@@ -62,8 +63,8 @@ def test_gymnasiums_threshold_is_met_when_the_mean_is_equal():
     short = exact[:-1] + [474]
     assert first_solved(rule, exact, limits) == numbers.success_window - 1
     assert first_solved(rule, short, limits) is None
-    assert peer("solve").is_solved(numbers.model_dump(), exact)
-    assert not peer("solve").is_solved(numbers.model_dump(), short)
+    assert peer("solve").is_solved(numbers.flat(), exact)
+    assert not peer("solve").is_solved(numbers.flat(), short)
 
 
 def test_the_peers_window_is_our_window():
@@ -153,7 +154,7 @@ def test_the_callback_stops_stable_baselines_where_it_is_solved(monkeypatch):
         ("stable_baselines3.common.callbacks", callbacks),
     ):
         monkeypatch.setitem(sys.modules, name, module)
-    numbers = {**solve.planned("dqn").settings[0].model_dump(mode="json"), "success_window": 2, "success_steps": 60}
+    numbers = {**solve.planned("dqn").settings[0].flat(), "success_window": 2, "success_steps": 60}
     sb3, rule = peer("sb3_dqn"), peer("solve").is_solved
     # means 5, 30, 55, 65: above 60 with the fourth
     assert sb3.solver(numbers, lambda lengths: rule(numbers, lengths))(0) == [(True, 190)]
@@ -224,4 +225,4 @@ def test_every_peer_stands_beside_a_case_with_our_numbers():
         agent, numbers, *_ = contender.arguments
         assert (PEERS / f"{agent}.py").exists()
         ours = solve.planned(case).settings[0]
-        assert type(ours).model_validate(json.loads(numbers)) == ours
+        assert settle(preset(case), **json.loads(numbers)) == ours

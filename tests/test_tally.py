@@ -70,7 +70,7 @@ class Naive:
             mean_return = np.mean(returns) if returns else np.nan
             means = [np.mean(x[:valid, slot], dtype=float) if learns else np.nan for x in (log.loss, log.max_q)]
             counts = self.ticks * len(self.length), len(self.episodes), self.updates
-            self.curve.append((*counts, mean_return, *means, log.epsilon[slot]))
+            self.curve.append((*counts, mean_return, *means, log.epsilon[slot], np.nan))
 
 
 @pytest.mark.parametrize(("num_envs", "per_round"), [(1, 1), (3, 2)])
@@ -113,7 +113,7 @@ def test_each_lane_takes_along_what_it_did_in_its_slot(num_envs, per_round):
             done, mine = tally.leave(i), naive[i]
             assert (done.env_steps, done.updates) == (mine.ticks * num_envs, mine.updates)
             np.testing.assert_array_equal(np.transpose(done.episodes), np.reshape(mine.episodes, (-1, 4)))
-            np.testing.assert_allclose(np.transpose(done.curve), np.reshape(mine.curve, (-1, 7)), rtol=1e-12)
+            np.testing.assert_allclose(np.transpose(done.curve), np.reshape(mine.curve, (-1, 8)), rtol=1e-12)
             np.testing.assert_array_equal(done.max_q, np.array(mine.max_q, np.float32))
             naive[i], left = None, left + 1
     assert left > 50

@@ -34,7 +34,7 @@ def test_article_q_has_the_bounds_of_gymnasiums_observation_space_and_of_the_tut
 def test_article_q_succeeds_as_often_as_the_tutorials_code(swept):
     theirs = json.loads((REFERENCE / "tutorial_tabular.json").read_text())
     assert len(theirs["solved"]) >= 300
-    ours = [row["status"] == "solved" for row in swept.lanes]
+    ours = [row["status"] == "solved" for row in swept.lanes.to_pylist()]
     table = [[sum(ours), len(ours) - sum(ours)], [sum(theirs["solved"]), len(theirs["solved"]) - sum(theirs["solved"])]]
     assert stats.fisher_exact(table).pvalue > ALPHA
 
@@ -43,7 +43,7 @@ def test_article_q_succeeds_as_often_as_the_tutorials_code(swept):
 def test_article_q_takes_as_long_as_the_tutorials_code(swept, theirs, ours):
     reference = json.loads((REFERENCE / "tutorial_tabular.json").read_text())
     expected = np.array(reference[theirs])[np.array(reference["solved"])]
-    found = [row[ours] for row in swept.lanes if row["status"] == "solved"]
+    found = [row[ours] for row in swept.lanes.to_pylist() if row["status"] == "solved"]
     assert stats.ks_2samp(expected, found).pvalue > ALPHA
     # The comparison can tell: samples that are a twentieth apart are seen.
     assert stats.ks_2samp(expected * 1.05, found).pvalue < ALPHA
@@ -51,6 +51,6 @@ def test_article_q_takes_as_long_as_the_tutorials_code(swept, theirs, ours):
 
 def test_termination_alone_sets_q_learning_apart(swept):
     right = jaxq.sweep("q-learning", seeds=200)
-    found = [row["solved_at_episode"] for row in right.lanes if row["status"] == "solved"]
-    ours = [row["solved_at_episode"] for row in swept.lanes if row["status"] == "solved"]
+    found = [row["solved_at_episode"] for row in right.lanes.to_pylist() if row["status"] == "solved"]
+    ours = [row["solved_at_episode"] for row in swept.lanes.to_pylist() if row["status"] == "solved"]
     assert stats.ks_2samp(found, ours).pvalue < ALPHA

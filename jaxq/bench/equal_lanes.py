@@ -13,11 +13,12 @@ from jaxq import executables, programs
 from jaxq import lanes as engine
 from jaxq.executables import Executables
 from jaxq.plans import plan
-from jaxq.presets import DQNSettings, Settings
+from jaxq.presets import DQNSettings
+from jaxq.settings import Settings
 from jaxq.tally import Lane
 
 #: No episode's end ends a lane: a streak that none reaches, no window to look at.
-NEVER_SOLVED: dict[str, dict[str, Any]] = {"article-q": {"success_streak": 10**6}, "article-dqn": {"success_window": 0}}
+NEVER_SOLVED: dict[str, dict[str, Any]] = {"article-q": {"success_streak": 10**6}, "article-dqn": {"stop": "none"}}
 
 
 def setting(preset: str, **overrides: Any) -> Settings:

@@ -26,10 +26,10 @@ def prepare(case: str, family: str = "pcg4d") -> Callable[[], float]:
 
     from jaxq import executables, lanes, programs
     from jaxq.plans import plan
-    from jaxq.presets import NO_LIMIT
+    from jaxq.settings import NO_LIMIT
 
     # Nothing ends a lane: bout after bout goes on with the same ones.
-    endless: dict[str, Any] = {"max_episodes": NO_LIMIT, "max_env_steps": NO_LIMIT, "success_window": 0}
+    endless: dict[str, Any] = {"max_episodes": NO_LIMIT, "max_env_steps": NO_LIMIT, "stop": "none"}
     one = plan("article-dqn", buffer_size=int(case), **endless).settings[0]
     numbers = programs.hypers(one)
     built = executables.build(programs.program(one, family), numbers, family)

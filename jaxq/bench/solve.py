@@ -23,7 +23,7 @@ def at_least(mean: float, window: int) -> float:
 CASES: dict[str, dict[str, Any]] = {
     "article-q": {},
     "article-dqn": {},
-    "dqn": {"success_window": 100, "success_steps": at_least(475, 100)},
+    "dqn": {"stop": "window", "success_window": 100, "success_steps": at_least(475, 100)},
 }
 #: How many seeds: more where they are quick, or many fail.
 SEEDS = {

@@ -22,6 +22,7 @@ __all__ = [
     "discretise",
     "make",
     "names",
+    "registered",
     "tutorial_edges",
 ]
 
@@ -33,14 +34,22 @@ def names() -> list[str]:
     return sorted(_REGISTRY)
 
 
+def registered(name: str) -> tuple[Any, Any]:
+    """The factory of an environment, a function of its numbers and options, and the record of its numbers.
+
+    Raises ValueError for an unknown name.
+    """
+    if name not in _REGISTRY:
+        raise ValueError(f"environment: {name!r} is unknown{nearest(name, names())}")
+    return _REGISTRY[name]
+
+
 def make(name: str, **settings: Any) -> Env:
     """The environment of that name; settings are fields of its physics or options of its factory.
 
     Raises ValueError for an unknown name and TypeError for an unknown setting, with the nearest known one.
     """
-    if name not in _REGISTRY:
-        raise ValueError(f"environment: {name!r} is unknown{nearest(name, names())}")
-    factory, params_type = _REGISTRY[name]
+    factory, params_type = registered(name)
     options = set(factory.__kwdefaults__ or {})
     unknown = [k for k in settings if k not in params_type._fields and k not in options]
     if unknown:

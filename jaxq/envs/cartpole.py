@@ -7,7 +7,6 @@ equations of motion as corrected by Florian, 2007. The reference for every numbe
 
 from __future__ import annotations
 
-import math
 from typing import Literal, NamedTuple
 
 import jax
@@ -16,25 +15,32 @@ from jax.typing import DTypeLike
 
 from jaxq.elementary import sin_cos
 from jaxq.types import Array, Env, Key, Step
+from jaxq.worlds import CartPole
 
 Integrator = Literal["euler", "semi-implicit"]
 INTEGRATORS = ("euler", "semi-implicit")
 
 
-class CartPoleParams(NamedTuple):
-    """The numbers of the physics, each of which may be traced. What derives from them is computed, never stored."""
+_DEFAULT = CartPole()
 
-    gravity: Array | float = 9.8  # m / s^2
-    masscart: Array | float = 1.0  # kg
-    masspole: Array | float = 0.1  # kg
-    length: Array | float = 0.5  # m, half the pole
-    force_mag: Array | float = 10.0  # N
-    tau: Array | float = 0.02  # s between steps
-    theta_threshold_radians: Array | float = 12 * 2 * math.pi / 360  # rad
-    x_threshold: Array | float = 2.4  # m
-    max_episode_steps: Array | int = 500
-    reset_low: Array | float = -0.05  # bounds of each of the four coordinates at a reset
-    reset_high: Array | float = 0.05
+
+class CartPoleParams(NamedTuple):
+    """The numbers of the physics, each of which may be traced. What derives from them is computed, never stored.
+
+    ``worlds.CartPole`` has the defaults and says what each is.
+    """
+
+    gravity: Array | float = _DEFAULT.gravity  # m / s^2
+    masscart: Array | float = _DEFAULT.masscart  # kg
+    masspole: Array | float = _DEFAULT.masspole  # kg
+    length: Array | float = _DEFAULT.length  # m, half the pole
+    force_mag: Array | float = _DEFAULT.force_mag  # N
+    tau: Array | float = _DEFAULT.tau  # s between steps
+    theta_threshold_radians: Array | float = _DEFAULT.theta_threshold_radians  # rad
+    x_threshold: Array | float = _DEFAULT.x_threshold  # m
+    max_episode_steps: Array | int = _DEFAULT.max_episode_steps
+    reset_low: Array | float = _DEFAULT.reset_low  # bounds of each of the four coordinates at a reset
+    reset_high: Array | float = _DEFAULT.reset_high
 
 
 _REALS = tuple(name for name in CartPoleParams._fields if name != "max_episode_steps")

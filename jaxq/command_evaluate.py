@@ -1,0 +1,90 @@
+"""``jaxq evaluate DIR``: saved policies play again, on the pure environment and in real Gymnasium."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import Any
+
+from jaxq import cpu, exits, flags
+from jaxq.flags import Once, UsageError, whole
+from jaxq.suggest import nearest
+
+EPISODES = 100
+WHERE = ("pure", "gymnasium")
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """The flags of the command."""
+    parser.add_argument("directory", type=flags.directory, metavar="DIR", help="run directory")
+    parser.add_argument("--env", action=Once, default="pure", help="pure (default), or gymnasium as well", metavar="WHERE")
+    parser.add_argument("--config", action=Once, type=whole, default=None, help="this setting's lanes", metavar="I")
+    parser.add_argument("--seed", action=Once, type=whole, default=None, help="lanes of this seed index", metavar="S")
+    parser.add_argument("--all", action="store_true", help="every lane (default the one of greatest greedy return)")
+    parser.add_argument(
+        "--episodes", action=Once, type=whole, default=EPISODES, help=f"episodes (default {EPISODES})", metavar="N"
+    )
+    parser.add_argument("--json", action="store_true", help="print a JSON list of rows")
+    parser.add_argument("--quiet", action="store_true", help="no progress and no talk")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Plays the chosen lanes and prints a row each; returns the exit status. Raises UsageError."""
+    if options.env not in WHERE:
+        raise UsageError(f"--env: {options.env!r} is unknown{nearest(options.env, WHERE)}")
+    if not 1 <= options.episodes <= 100_000:
+        raise UsageError(f"--episodes: {options.episodes} is not allowed: from 1 to 100000")
+    cpu.tune()
+    from rich.console import Console
+    from rich.progress import track
+
+    from jaxq import report
+    from jaxq.manifest import RunError
+    from jaxq.outcome import load
+    from jaxq.streams import encodes
+
+    try:
+        outcome = load(options.directory)
+        lanes = _chosen(outcome, options)
+        show = not options.quiet and sys.stderr.isatty()
+        watched = track(lanes, "evaluating", console=Console(stderr=True), transient=True, disable=not show)
+        rows = [_row(outcome, lane, options) for lane in watched]
+    except (RunError, ValueError) as error:
+        raise UsageError(str(error)) from None
+    if options.json:
+        print(json.dumps(rows))
+    else:
+        print(report.rows_table(rows, plain=not encodes(sys.stdout, report.LINES)))
+    return exits.OK
+
+
+def _chosen(outcome: Any, options: argparse.Namespace) -> list[dict[str, Any]]:
+    rows = [row for row in outcome.lanes.to_pylist() if row.get("eval_return") is not None]
+    for name in ("config", "seed"):
+        wanted = getattr(options, name)
+        if wanted is not None:
+            rows = [row for row in rows if row[name] == wanted]
+            if not rows:
+                raise UsageError(f"--{name}: {wanted} has no lane with a policy in {options.directory}")
+    if not rows:
+        raise UsageError(f"{options.directory}: holds no lane with a policy")
+    if options.all or options.config is not None or options.seed is not None:
+        return rows
+    return [max(rows, key=lambda row: row["eval_return"])]
+
+
+def _row(outcome: Any, lane: dict[str, Any], options: argparse.Namespace) -> dict[str, Any]:
+    from jaxq import replayed
+
+    config, seed = lane["config"], lane["seed"]
+    played = replayed.play(outcome, config, seed, options.episodes)
+    row = {"config": config, "seed": seed, **{name: lane[name] for name in outcome.varied}}
+    row |= {"recorded": lane["eval_return"], "pure": float(played.returns.mean(dtype=float))}
+    if options.env == "gymnasium":
+        from jaxq.interop import gymnasium
+
+        settings = outcome.settings(config)
+        returns = gymnasium.greedy_returns(settings.env, outcome.policy(config, seed), played.starts)
+        row |= {"gymnasium": float(returns.mean()), "same_episodes": float((returns == played.returns).mean())}
+    return row | {"episodes": options.episodes}

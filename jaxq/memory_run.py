@@ -1,0 +1,52 @@
+"""A sweep that stays in memory: what a run directory does, for who calls from Python and wants no files."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from jaxq.checkpoints import Checkpoints
+from jaxq.store import Weights
+from jaxq.tables import in_order
+
+
+class MemoryRun:
+    """The tables and policies of a sweep. Lanes that wait at a rung are kept in a temporary folder."""
+
+    def __init__(self) -> None:
+        self._tables: dict[str, list[pa.Table]] = {}
+        self._policies: dict[tuple[int, int], Weights] = {}
+        self._about: dict[str, str] = {}
+        self._folder = tempfile.TemporaryDirectory(prefix="jaxq-")
+        self.checkpoints = Checkpoints(Path(self._folder.name), "memory", say=lambda text: None)
+        self.manifest: dict[str, Any] = {"rungs": []}
+
+    def write(
+        self, tables: Mapping[str, pa.Table], policies: Mapping[tuple[int, int], Weights], about: Mapping[str, str]
+    ) -> None:
+        """Adds a batch of lanes that ended."""
+        for kind, table in tables.items():
+            self._tables.setdefault(kind, []).append(table)
+        self._policies |= policies
+        self._about |= about
+
+    def agree_width(self, config: int, width: int) -> None:
+        """There is nothing to agree with."""
+
+    def decide(self, rung: Mapping[str, object]) -> None:
+        """Records what halving decided at a rung."""
+        self.manifest["rungs"].append(dict(rung))
+
+    def table(self, kind: str) -> pa.Table | None:
+        """The rows of one table, ``lanes``, ``curves`` or ``episodes``; None without any."""
+        return in_order(pa.concat_tables(self._tables[kind])) if self._tables.get(kind) else None
+
+    def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """A lane's final weights by name, and what describes them; both empty where it has none."""
+        found = self._policies.get((config, seed))
+        return (dict(found), self._about) if found is not None else ({}, {})

@@ -1,0 +1,175 @@
+"""What a sweep came to: its tables, its summary, its pictures, from memory or from a run directory."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from jaxq import manifest, parts, run_files, saved_policy, summaries, tables
+from jaxq.manifest import RunError
+from jaxq.plans import shown
+from jaxq.presets import preset, settle
+from jaxq.saved_policy import SavedPolicy
+from jaxq.shared import Progress
+from jaxq.store import Readable
+from jaxq.summaries import Row
+
+
+@dataclass
+class Timing:
+    """Where the time went, and how much was done."""
+
+    compile_s: float = 0.0
+    run_s: float = 0.0
+    env_steps: int = 0
+    updates: int = 0
+    programs: int = 0
+    cached: int = 0  # of these programs, how many were not compiled because a cache held all of them
+    pending_s: float = 0.0  # workers' seconds while lanes were waiting for a slot
+    useful_s: float = 0.0  # those of them in which slots advanced their lanes
+    tail_s: float = 0.0  # from the last lane's start to the end
+
+    def book(self, progress: Progress) -> None:
+        """Adds what one program's engine says at its end."""
+        self.pending_s += progress.pending_s
+        self.useful_s += progress.useful_s
+        if progress.queue_empty is not None:
+            self.tail_s += time.monotonic() - progress.queue_empty
+
+    def rows(self) -> Row:
+        """The ``timing`` of the JSON output."""
+        seconds = max(self.run_s, 1e-9)
+        return {
+            "compile_s": round(self.compile_s, 3),
+            "run_s": round(self.run_s, 3),
+            "env_steps_per_s": round(self.env_steps / seconds),
+            "updates_per_s": round(self.updates / seconds),
+            "programs": self.programs,
+            "cached": self.cached,
+            "useful_share": round(self.useful_s / self.pending_s, 3) if self.pending_s else None,
+            "tail_s": round(self.tail_s, 3),
+        }
+
+
+@dataclass
+class Outcome:
+    """The results of a sweep; ``spec`` is what identifies it (``Plan.spec``)."""
+
+    spec: dict[str, Any]
+    store: Readable
+    timing: Timing = field(default_factory=Timing)
+
+    @property
+    def varied(self) -> list[str]:
+        """The hyperparameters that differ between settings."""
+        return list(self.spec["varied"])
+
+    @property
+    def threshold(self) -> float | None:
+        """The mean return at which the environment counts as solved."""
+        return self.spec.get("threshold")
+
+    @cached_property
+    def lanes(self) -> pa.Table:
+        """A row per training that ended, sorted by setting and seed."""
+        found = self.store.table("lanes")
+        return found if found is not None else pa.schema(tables.KEY).empty_table()
+
+    @property
+    def curves(self) -> pa.Table:
+        """A row per training and segment."""
+        found = self.store.table("curves")
+        return found if found is not None else tables.CURVES.empty_table()
+
+    @property
+    def episodes(self) -> pa.Table:
+        """A row per training episode, where they were kept."""
+        found = self.store.table("episodes")
+        return found if found is not None else tables.EPISODES.empty_table()
+
+    @property
+    def complete(self) -> bool:
+        """Whether every training has a row."""
+        return len(self.lanes) >= len(self.spec["settings"]) * len(manifest.seeds_of(self.spec))
+
+    @cached_property
+    def _summary(self) -> list[Row]:
+        return summaries.summary(self.lanes, self.varied, self.threshold)
+
+    def summary(self) -> list[Row]:
+        """One row per setting: see ``summaries.summary``."""
+        return list(self._summary)
+
+    def best(self, metric: str = "eval_return") -> Row:
+        """The summary's row of the setting with the greatest ``metric``. Raises ValueError with one seed."""
+        return summaries.best(self._summary, metric)
+
+    def label(self, config: int) -> str:
+        """What tells a setting from the others, or the preset's name where nothing varies."""
+        values = self.spec["settings"][config]
+        pairs = zip(self.spec["varied"], values, strict=True)
+        named = ", ".join(f"{name} {shown(tuple(v) if isinstance(v, list) else v)}" for name, v in pairs)
+        return named or str(self.spec["preset"])
+
+    def settings(self, config: int) -> Any:
+        """The settings of one setting's index.
+
+        Raises ValueError for an index that there is none of, and for a sweep of functions of the user's own, which no
+        directory holds.
+        """
+        count = len(self.spec["settings"])
+        if not 0 <= config < count:
+            raise ValueError(f"config: {config} is not allowed: from 0 to {count - 1}")
+        values = self.spec["common"] | dict(zip(self.spec["varied"], self.spec["settings"][config], strict=True))
+        given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+        return settle(preset(self.spec["preset"]), **given)
+
+    def policy(self, config: int, seed: int = 0) -> SavedPolicy:
+        """A training's final policy, played with NumPy. Raises ValueError where none was kept."""
+        weights, about = self.store.policy(config, seed)
+        return saved_policy.load(weights, about, config)
+
+    def plot(self, kind: str = "curves", **options: Any) -> Any:
+        """A picture as a matplotlib Figure: see ``pictures.draw`` for the kinds and their options."""
+        from jaxq import pictures
+
+        return pictures.draw(self, kind, **options)
+
+    def __str__(self) -> str:
+        from jaxq import report
+
+        return report.settings_table(self._summary, self.varied)
+
+
+class StoredRun:
+    """A run directory that is only read."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        if not (path / run_files.MANIFEST).exists():
+            raise RunError(f"{path}: holds no run")
+        self.manifest = manifest.read(path / run_files.MANIFEST)
+        for name, digest in self.manifest["files"].items():
+            file = path / name
+            if not file.is_file() or run_files.sha256(file.read_bytes()) != digest:
+                raise RunError(f"{file}: is damaged; the sweep's command with --resume runs its lanes again")
+
+    def table(self, kind: str) -> pa.Table | None:
+        """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``; None without any."""
+        return parts.read(self.path, kind)
+
+    def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """A lane's final weights by name, and what describes them; both empty where it has none."""
+        return parts.read_policy(self.path, config, seed)
+
+
+def load(path: str | Path) -> Outcome:
+    """The outcome of a run directory. Raises RunError for what is none, or is damaged."""
+    stored = StoredRun(Path(path))
+    return Outcome(stored.manifest["spec"], stored)

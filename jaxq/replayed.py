@@ -1,0 +1,109 @@
+"""Saved policies played again on the pure environment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxq import prng, programs
+from jaxq.evaluation import greedy_returns
+from jaxq.outcome import Outcome
+from jaxq.types import Array
+
+
+class Played(NamedTuple):
+    """Greedy episodes: where they began and what they returned. Shapes: starts [n, ...], returns [n]."""
+
+    starts: np.ndarray
+    returns: np.ndarray
+
+
+class Followed(NamedTuple):
+    """States along greedy episodes: the largest action value there, and the discounted return that followed. [n]"""
+
+    predicted: np.ndarray
+    followed: np.ndarray
+
+
+def play(outcome: Outcome, config: int, seed: int, episodes: int, root_seed: int = 0) -> Played:
+    """Plays a saved policy greedily, from start states that its training and evaluation did not see.
+
+    Raises ValueError where no policy was kept.
+    """
+    made, q_values = _lane(outcome, config, seed)
+    key = jax.random.fold_in(prng.key(root_seed, "threefry"), 0)
+
+    def start(key: Array) -> Any:  # where an episode of this key begins
+        return made.world.observe(made.world.reset(jax.random.split(key)[0]))
+
+    starts = jax.vmap(start)(jax.random.split(key, episodes))
+    run = jax.jit(lambda key: greedy_returns(key, made.env, q_values, episodes, 10**6))
+    return Played(np.asarray(starts), np.asarray(run(key)))
+
+
+def follow(outcome: Outcome, config: int, seed: int, episodes: int = 20, steps: int = 500) -> Followed:
+    """What a saved policy predicts along its greedy episodes beside the return that really follows.
+
+    max_a q(s_t, a) beside r_{t+1} + gamma r_{t+2} + ..., which ends at a termination alone: an episode that would be
+    truncated is played on, until what is left out weighs less than a hundredth. Raises ValueError where no policy was
+    kept.
+    """
+    settings = outcome.settings(config)
+    gamma = float(settings.gamma)
+    beyond = math.ceil(math.log(0.01) / math.log(gamma)) if 0 < gamma < 1 else 1 if gamma == 0 else 10 * steps
+    beyond = min(beyond, 20_000)
+    made, q_values = _lane(outcome, config, seed, endless=True)
+    env = made.env
+
+    def one(key: Array) -> tuple[Array, Array, Array]:
+        reset_key, step_key = jax.random.split(key)
+
+        def body(carry: Any, t: Array) -> Any:
+            state, live = carry
+            q = q_values(env.observe(state))
+            state, happened = env.step(jax.random.fold_in(step_key, t), state, jnp.argmax(q))
+            row = jnp.max(q), happened.reward * live, live
+            return (state, live * (1.0 - happened.terminated)), row
+
+        start = env.reset(reset_key), jnp.ones(())
+        return jax.lax.scan(body, start, jnp.arange(steps + beyond))[1]
+
+    keys = jax.random.split(jax.random.fold_in(prng.key(0, "threefry"), 1), episodes)
+    predicted, rewards, live = (np.asarray(x, float) for x in jax.jit(jax.vmap(one))(keys))
+    followed = np.zeros(len(rewards))
+    returns = np.empty_like(rewards)
+    for t in reversed(range(rewards.shape[1])):
+        followed = rewards[:, t] + gamma * followed
+        returns[:, t] = followed
+    seen = live[:, :steps] > 0
+    return Followed(predicted[:, :steps][seen], returns[:, :steps][seen])
+
+
+def _lane(outcome: Outcome, config: int, seed: int, endless: bool = False) -> tuple[Any, Callable[[Array], Array]]:
+    """What plays a lane's policy, and its action values as a function that can be traced."""
+    settings = outcome.settings(config)
+    if endless and "max_episode_steps" in type(settings.env).model_fields:
+        world = settings.env.model_copy(update={"max_episode_steps": 10**9})
+        settings = settings.model_copy(update={"env": world})
+    weights = outcome.policy(config, seed).weights
+    made = programs.played(settings)
+    return made, lambda obs: made.agent.q_values(_tree(weights), obs)
+
+
+def _tree(weights: Any) -> Any:
+    """The policy's tree of its arrays by path."""
+    if set(weights) == {"table"}:
+        return jnp.asarray(weights["table"])
+    tree: dict[str, Any] = {}
+    for name, array in weights.items():
+        *path, last = name.split(".")
+        branch = tree
+        for part in path:
+            branch = branch.setdefault(part, {})
+        branch[last] = jnp.asarray(array)
+    return tree

@@ -1,0 +1,99 @@
+"""Policies as they are saved: weights by name with a description, played with NumPy alone.
+
+The description of a setting is JSON in the metadata of the file that holds its weights, under ``policies`` and the
+setting's index: ``{"kind": "mlp", "layers": ["params.Linear_0", ...]}``, each layer y = x W + b with W its ``.kernel``
+and b its ``.bias`` and ReLU between them; or ``{"kind": "table", "edges": [[...], ...]}``, the row of ``table`` being
+the flat index (C order) of how many edges each coordinate has reached, or the observation itself without edges.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxq.presets import DQNSettings, TabularSettings
+from jaxq.programs import hypers
+
+
+@dataclass(frozen=True)
+class SavedPolicy:
+    """One lane's final policy."""
+
+    about: Mapping[str, Any]
+    weights: Mapping[str, np.ndarray]
+
+    def q_values(self, obs: np.ndarray) -> np.ndarray:
+        """Action values of observations. Shapes: obs [n, ...] -> [n, A]."""
+        obs = np.asarray(obs)
+        if self.about["kind"] == "table":
+            return np.asarray(self.weights["table"])[self._row(obs)]
+        x = obs.reshape(len(obs), -1).astype(np.float32)
+        for i, layer in enumerate(self.about["layers"]):
+            x = np.maximum(x, 0) if i else x
+            x = x @ self.weights[f"{layer}.kernel"] + self.weights[f"{layer}.bias"]
+        return x
+
+    def act(self, obs: np.ndarray) -> np.ndarray:
+        """The greedy actions of observations, the first of equals. Shapes: obs [n, ...] -> [n]."""
+        return self.q_values(obs).argmax(axis=1)
+
+    def _row(self, obs: np.ndarray) -> np.ndarray:
+        edges: Sequence[Sequence[float]] | None = self.about.get("edges")
+        if edges is None:
+            return obs.astype(int)
+        row = np.zeros(len(obs), int)
+        for i, steps in enumerate(edges):
+            reached = (obs[:, i, None].astype(np.float32) >= np.asarray(steps, np.float32)).sum(axis=1)
+            row = row * (len(steps) + 1) + reached
+        return row
+
+
+def describe(settings: Any, weights: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
+    """What a setting's policies are; None for what is no table or network."""
+    if isinstance(settings, TabularSettings):
+        rows = int(np.prod(settings.num_buckets))
+        discretised = settings.env.factory is None or len(weights["table"]) == rows
+        edges = [row.tolist() for row in hypers(settings).env[1]] if discretised else None
+        return {"kind": "table", "edges": edges}
+    if isinstance(settings, DQNSettings):
+        return {"kind": "mlp", "layers": [f"params.Linear_{i}" for i in range(len(settings.hidden) + 1)]}
+    return None
+
+
+def described(settings: Sequence[Any], lanes: Mapping[tuple[int, int], Mapping[str, np.ndarray]]) -> dict[str, str]:
+    """The metadata of a file of policies, by (setting, seed)."""
+    about = {}
+    for (config, _), weights in lanes.items():
+        if str(config) not in about and (one := describe(settings[config], weights)) is not None:
+            about[str(config)] = one
+    return {"policies": json.dumps(about)}
+
+
+def load(weights: Mapping[str, np.ndarray], about: Mapping[str, str], config: int) -> SavedPolicy:
+    """The policy of a lane's weights and the metadata of their file. Raises ValueError where nothing describes it."""
+    described = json.loads(about.get("policies", "{}")).get(str(config))
+    if not weights or described is None:
+        raise ValueError(f"setting {config}: no policy is saved for it")
+    return SavedPolicy(described, weights)
+
+
+def flatten(policy: Any, alone: str = "table") -> dict[str, np.ndarray]:
+    """A tree's arrays by path, as ``params.Linear_0.kernel`` of a network; an array alone has the name ``alone``."""
+    return {name or alone: array for name, array in _paths(policy)}
+
+
+def _paths(tree: Any) -> Iterable[tuple[str, np.ndarray]]:
+    branches = tree.items() if isinstance(tree, dict) else None
+    if isinstance(tree, (list, tuple)):
+        named = getattr(tree, "_fields", None) or map(str, range(len(tree)))
+        branches = zip(named, tree, strict=True)
+    if branches is None:
+        yield "", np.asarray(tree)
+        return
+    for name, branch in branches:
+        for rest, array in _paths(branch):
+            yield f"{name}.{rest}" if rest else str(name), array

@@ -1,0 +1,146 @@
+"""The summary of a sweep: a row per setting, with statistics over its seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from jaxq import stats
+from jaxq.settings import NO_LIMIT
+from jaxq.stats import Estimate
+
+Row = dict[str, Any]
+NONE = Estimate(None, None, None)
+
+
+def summary(lanes: pa.Table, varied: Sequence[str], threshold: float | None = None) -> list[Row]:
+    """One row per setting, in the order of ``config``: what varied, and statistics over its seeds, each with the ends
+    of its 95 % interval as ``_low`` and ``_high``, which are None with one seed.
+
+    ``solved`` is the share of lanes that the stop rule ended; ``reached`` that of lanes whose greedy return is at least
+    ``threshold``; ``median_episodes`` and ``median_env_steps`` are Kaplan-Meier medians of the time until solved;
+    ``final_return`` (training), ``eval_return`` (greedy) and ``area_under_curve`` are interquartile means. Diverged
+    lanes are counted, take part in the shares and times, and have no return.
+    """
+    columns = {name: lanes[name] for name in lanes.column_names}
+    if "stop" not in columns:
+        return _of_outputs(lanes, varied)
+    config = columns["config"].to_numpy()
+    order = np.argsort(config, kind="stable")
+    settings, begins = np.unique(config[order], return_index=True)
+    data = {name: _values(columns[name]) for name in _READ}
+    rows = []
+    for setting, picked in zip(settings.tolist(), np.split(order, begins[1:]), strict=True):
+        mine = {name: values[picked] for name, values in data.items()}
+        first = {name: columns[name][int(picked[0])].as_py() for name in varied}
+        rows.append({"config": setting, **first, **_setting(mine, threshold)})
+    return rows
+
+
+def _of_outputs(lanes: pa.Table, varied: Sequence[str]) -> list[Row]:
+    """Of a function's lanes: the interquartile mean of each number that it returned."""
+    names = lanes.column_names
+    outputs = [name for name in names[names.index("status") + 1 :] if _is_number(lanes[name].type)]
+    config = lanes["config"].to_numpy()
+    rows = []
+    for setting in np.unique(config).tolist():
+        mine = lanes.filter(pa.array(config == setting))
+        row: Row = {"config": setting, **{name: mine[name][0].as_py() for name in varied}, "seeds": len(mine)}
+        for name in outputs:
+            row |= _named(name, stats.interquartile_mean(_values(mine[name].drop_null()).tolist()))
+        rows.append(row | {"diverged": mine["status"].to_pylist().count("diverged")})
+    return rows
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind))
+
+
+def best(rows: Sequence[Row], metric: str = "eval_return") -> Row:
+    """The row of the setting whose ``metric`` is greatest, the first of equals.
+
+    Raises ValueError where a setting has one seed, which ranks nothing, and where no setting has the metric.
+    """
+    if any(row["seeds"] == 1 for row in rows):
+        raise ValueError("seeds: one seed ranks no settings; train at least two")
+    if not rows or metric not in rows[0]:
+        raise ValueError(f"metric: {metric!r} is no column of the summary")
+    ranked = [row for row in rows if row[metric] is not None]
+    if not ranked:
+        raise ValueError(f"metric: no setting has {metric}")
+    return max(ranked, key=lambda row: row[metric])
+
+
+_READ = (
+    "status",
+    "stop",
+    "episodes",
+    "env_steps",
+    "max_episodes",
+    "max_env_steps",
+    "solved_at_episode",
+    "solved_at_step",
+    "final_return",
+    "eval_return",
+    "area_under_curve",
+)
+
+
+def _setting(mine: dict[str, np.ndarray], threshold: float | None) -> Row:
+    seeds, status = len(mine["status"]), mine["status"]
+    looks = mine["stop"][0] != "none"  # nobody looks for success: none is not a share of 0
+    kept = status != "diverged"
+    returns = mine["eval_return"][kept & np.isfinite(mine["eval_return"])]
+    row: Row = {"seeds": seeds}
+    row |= _named("solved", _share(status == "solved") if looks else NONE)
+    row |= _named("reached", NONE if threshold is None else _share(mine["eval_return"] >= threshold))
+    row |= _named("median_episodes", _time(mine, "solved_at_episode", "episodes", "max_episodes") if looks else NONE)
+    row |= _named("median_env_steps", _time(mine, "solved_at_step", "env_steps", "max_env_steps") if looks else NONE)
+    for name in ("final_return", "eval_return", "area_under_curve"):
+        values = mine[name][kept]
+        row |= _named(name, stats.interquartile_mean(values[np.isfinite(values)].tolist()))
+    row["eval_median"] = float(np.median(returns)) if len(returns) else None
+    row["eval_mean"] = float(np.mean(returns)) if len(returns) else None
+    row["diverged"], row["stopped"] = int((status == "diverged").sum()), int((status == "stopped").sum())
+    return row
+
+
+def _share(which: np.ndarray) -> Estimate:
+    if len(which) == 1:
+        return Estimate(float(which[0]), None, None)
+    return stats.share(int(which.sum()), len(which))
+
+
+def _time(mine: dict[str, np.ndarray], at: str, clock: str, limit: str) -> Estimate:
+    times, observed = time_to_success(mine, at, clock, limit)
+    return stats.kaplan_meier_median(times.tolist(), observed.tolist())
+
+
+def time_to_success(
+    mine: dict[str, np.ndarray], at: str, clock: str, limit: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """When each lane was solved, or until when it was watched, and whether it was solved.
+
+    A lane that reached the limit of this clock, or was stopped by halving, was watched until then. One that ended for
+    another reason, the other clock's limit or a divergence, would never have been solved: it counts as later than all.
+    Bad policies have short episodes, so a lane that runs out of episodes does so after few steps; to call that a
+    censored time would make bad settings look quick.
+    """
+    observed = mine["status"] == "solved"
+    watched = (mine[clock] >= np.minimum(mine[limit], NO_LIMIT)) | (mine["status"] == "stopped")
+    times = np.where(observed, mine[at], np.where(watched, mine[clock], np.inf))
+    return times.astype(float), observed
+
+
+def _named(name: str, estimate: Estimate) -> Row:
+    return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
+
+
+def _values(column: pa.ChunkedArray) -> np.ndarray:
+    """Numbers as float64 with NaN for null; words as they are."""
+    if pa.types.is_string(column.type):
+        return np.asarray(column.to_pylist(), object)
+    return column.cast(pa.float64()).to_numpy()

@@ -1,0 +1,172 @@
+"""Sweep files: a plan as TOML, read and written. Imports no jax.
+
+::
+
+    preset = "dqn"
+    seeds = 16
+    method = "sobol"        # grid, random, sobol; or list, with [[settings]]
+    samples = 64
+    [parameters]
+    gamma = 0.99            # the same for all
+    hidden.values = [[64, 64], [128, 128]]
+    [parameters.learning_rate]
+    min = 1e-4
+    max = 1e-2
+    scale = "log"
+    [parameters.env.length]
+    values = [0.25, 0.5]
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from jaxq.axes import Range
+from jaxq.plans import Plan, plan
+from jaxq.suggest import nearest
+from jaxq.worlds import World
+
+#: The keys of a file, with the names that ``plan`` has for them.
+_KEYS = {
+    "preset": "name",
+    "seeds": "seeds",
+    "seed": "root_seed",
+    "prng": "prng",
+    "env": "env",
+    "method": "method",
+    "samples": "samples",
+    "halving": "halving",
+    "rungs": "rungs",
+    "settings": "settings",
+}
+
+
+def read(path: Path) -> dict[str, Any]:
+    """What a file asks for, as the arguments of ``plan``, the preset as ``name``.
+
+    Raises ValueError, which names the file and the key, for one that cannot be read or says what no sweep has.
+    """
+    try:
+        found = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: is not TOML: {error}") from None
+    try:
+        return _arguments(found)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def text(planned: Plan) -> str:
+    """The file of a plan, which reads as the same plan.
+
+    Raises ValueError for a plan that no file can say: of a function of the user's own, or one lane of another sweep.
+    """
+    request = planned.request
+    if request is None or planned.seeds != tuple(range(len(planned.seeds))):
+        raise ValueError(f"{planned.name}: is not what a file can say")
+    found: dict[str, Any] = {
+        "preset": planned.name,
+        "seeds": len(planned.seeds),
+        "seed": planned.root_seed,
+        "prng": planned.prng,
+        "method": request.method,
+    }
+    if request.samples is not None:
+        found["samples"] = request.samples
+    for name in ("halving", "rungs"):
+        if (value := getattr(planned, name)) is not None:
+            found[name] = value
+    parameters: dict[str, Any] = {}
+    for name, value in request.fixed.items():
+        if isinstance(value, World):
+            if value.factory is not None:
+                raise ValueError(f"env: {value} is a function, which no file can hold")
+            found["env"] = value.id
+        else:
+            _put(parameters, name, _plain(value))
+    for name, axis in request.axes.items():
+        if isinstance(axis, Range):
+            _put(parameters, name, {"min": axis.min, "max": axis.max, "scale": axis.scale})
+        else:
+            _put(parameters, name, {"values": [_plain(value) for value in axis]})
+    if request.listed:
+        found["settings"] = [{name: _plain(value) for name, value in one.items()} for one in request.listed]
+    return tomli_w.dumps(found | ({"parameters": parameters} if parameters else {}))
+
+
+def _arguments(found: Mapping[str, Any]) -> dict[str, Any]:
+    for key in found:
+        if key not in (*_KEYS, "parameters"):
+            raise ValueError(f"{key!r} is no key of a sweep{nearest(key, [*_KEYS, 'parameters'])}")
+    if not isinstance(found.get("preset"), str):
+        raise ValueError("preset: must be named, as in preset = 'dqn'")
+    parameters, listed = found.get("parameters", {}), found.get("settings")
+    if not isinstance(parameters, dict):
+        raise ValueError("parameters: must be a table, as in [parameters]")
+    asked = {_KEYS[key]: value for key, value in found.items() if key in _KEYS}
+    if listed is not None:
+        if not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
+            raise ValueError("settings: must be tables, as in [[settings]]")
+        asked["settings"] = [{name: _tuple(value) for name, value in _named(one).items()} for one in listed]
+    return asked | {name: _axis(name, value) for name, value in _named(parameters).items()}
+
+
+def _named(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by name; those in a table ``env`` by their dotted names."""
+    named = {}
+    for name, value in table.items():
+        if name == "env" and isinstance(value, dict):
+            named |= {f"env.{inner}": below for inner, below in value.items()}
+        else:
+            named[name] = value
+    taken = [name for name in named if name in {*_KEYS.values()} - {"env"}]
+    if taken:
+        raise ValueError(f"{taken[0]}: is no parameter")
+    return named
+
+
+def _axis(name: str, value: Any) -> Any:
+    if not isinstance(value, dict):
+        return _tuple(value)
+    if set(value) == {"values"} and isinstance(value["values"], list):
+        return [_tuple(one) for one in value["values"]]
+    if {"min", "max"} <= set(value) <= {"min", "max", "scale"}:
+        try:
+            return Range(**value)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+    raise ValueError(f"{name}: {value} is not allowed: values, or min and max with a scale")
+
+
+def _tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _plain(value: Any) -> Any:
+    if value is None:
+        return "none"  # TOML has no null
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _put(table: dict[str, Any], name: str, value: Any) -> None:
+    """``env.length`` stands in a table of its own."""
+    *above, last = name.split(".", 1)
+    for part in above:
+        table = table.setdefault(part, {})
+    table[last] = value
+
+
+def load(path: Path) -> Plan:
+    """The plan of a file. Raises ValueError."""
+    asked = read(path)
+    try:
+        return plan(**asked)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: {error}") from None
