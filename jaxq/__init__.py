@@ -22,10 +22,18 @@ from typing import Any
 __version__ = "0.1.0"
 
 _MODULES = tuple(
-    "agents compile_cache cpu envs experiment lanes networks optimisers policies presets prng programs replay rules"
-    " schedules stats success types".split()
+    "agents axes compile_cache cpu envs experiment functions lanes networks optimisers pictures policies presets prng"
+    " programs replay rules saved_policy schedules stats success types worlds".split()
 )
-_NAMES = {"Outcome": "outcome", "Range": "axes", "load": "outcome", "Plan": "plans", "plan": "plans", "sweep": "sweeps", "train": "sweeps"}
+_NAMES = {
+    "Outcome": "outcome",
+    "Plan": "plans",
+    "Range": "axes",
+    "load": "outcome",
+    "plan": "plans",
+    "sweep": "sweeps",
+    "train": "sweeps",
+}
 
 __all__ = [*_MODULES, *_NAMES]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -32,7 +33,7 @@ class Range:
 
     def __post_init__(self) -> None:
         for end in (self.min, self.max):
-            if isinstance(end, bool) or not isinstance(end, (int, float)) or not math.isfinite(end):
+            if isinstance(end, bool) or not isinstance(end, (int, float)) or not abs(end) <= sys.float_info.max:
                 raise ValueError(f"range: {end!r} is not allowed: a finite number")
         if self.scale not in ("linear", "log"):
             raise ValueError(f"scale: {self.scale!r} is unknown{nearest(str(self.scale), ('linear', 'log'))}")

@@ -33,9 +33,9 @@ class AtRung:
 
 
 class Checkpoints:
-    """The checkpoints of a folder, one per lane under way. ``say`` is told of one that is damaged, which counts as none.
+    """The checkpoints of a folder, one per lane under way.
 
-    ``shapes`` are those of a lane's state, ``stamp`` the run's identity: a checkpoint of another counts as damaged.
+    ``stamp`` is the run's identity. A checkpoint that is damaged, or of another run, is none, and ``say`` is told.
     """
 
     def __init__(self, folder: Path, stamp: str, say: Callable[[str], None]):
@@ -47,7 +47,7 @@ class Checkpoints:
 
     def save(self, saved: Saved, at: AtRung | None = None) -> None:
         """Writes a lane's checkpoint in the place of the one before. Raises WriteError."""
-        arrays = {f"state/{i:03d}": leaf for i, leaf in enumerate(jax.tree.leaves(saved.state))}
+        arrays = {f"state/{i:05d}": leaf for i, leaf in enumerate(jax.tree.leaves(saved.state))}
         arrays |= {f"books/{name}": array for name, array in saved.books._asdict().items() if array is not None}
         about = {"stamp": self.stamp, "lane": f"{saved.lane.config}/{saved.lane.seed}"}
         if at is not None:
@@ -110,11 +110,14 @@ class Checkpoints:
                 about: dict[str, str] = opened.metadata() or {}
                 arrays: dict[str, Any] = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
         except (OSError, safetensors.SafetensorError):
-            return self._drop_damaged(config, seed)
+            self._drop_damaged(config, seed)
+            return None
         if about.get("sha256") != _digest(arrays, about):
-            return self._drop_damaged(config, seed)
+            self._drop_damaged(config, seed)
+            return None
         if about.get("stamp") != self.stamp or about.get("lane") != f"{config}/{seed}":
-            return self._drop_damaged(config, seed, "is of another run")
+            self._drop_damaged(config, seed, "is of another run")
+            return None
         return arrays, about
 
     def _drop_damaged(self, config: int, seed: int, why: str = "is damaged") -> None:

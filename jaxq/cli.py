@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxq import commands, exits, flags, sweep_files, streams
+from jaxq import commands, exits, flags, streams, sweep_files
 from jaxq.flags import COMMANDS, UsageError
 from jaxq.presets import preset, presets
 from jaxq.suggest import nearest

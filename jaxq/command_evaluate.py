@@ -18,7 +18,9 @@ WHERE = ("pure", "gymnasium")
 def arguments(parser: argparse.ArgumentParser) -> None:
     """The flags of the command."""
     parser.add_argument("directory", type=flags.directory, metavar="DIR", help="run directory")
-    parser.add_argument("--env", action=Once, default="pure", help="pure (default), or gymnasium as well", metavar="WHERE")
+    parser.add_argument(
+        "--env", action=Once, default="pure", help="pure (default), or gymnasium as well", metavar="WHERE"
+    )
     parser.add_argument("--config", action=Once, type=whole, default=None, help="this setting's lanes", metavar="I")
     parser.add_argument("--seed", action=Once, type=whole, default=None, help="lanes of this seed index", metavar="S")
     parser.add_argument("--all", action="store_true", help="every lane (default the one of greatest greedy return)")

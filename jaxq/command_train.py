@@ -1,4 +1,4 @@
-"""``jaxq train --from DIR --config I --seed S``: one lane of a sweep again, bit for bit, with its episodes and pictures."""
+"""``jaxq train --from DIR --config I --seed S``: one lane of a sweep again, bit for bit, with episodes and pictures."""
 
 from __future__ import annotations
 

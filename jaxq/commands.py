@@ -121,6 +121,7 @@ def execute(command: str, planned: Plan, path: Path, options: argparse.Namespace
 def _sweep(command: str, planned: Plan, directory: Any, options: argparse.Namespace, stop: threading.Event) -> int:
     from jaxq import compile_cache, sweeps
     from jaxq.progress import Display
+    from jaxq.stages import Listeners
 
     kept: list[Any] = []
     board = _board(directory.path, planned) if getattr(options, "tensorboard", False) else None
@@ -147,7 +148,7 @@ def _sweep(command: str, planned: Plan, directory: Any, options: argparse.Namesp
             keep=getattr(options, "keep", None),
             workers=options.workers,
             cache=None if options.no_cache else compile_cache.user_cache(display.say if options.verbose else None),
-            tell=sweeps.Listeners(
+            tell=Listeners(
                 compiling=display.compiling,
                 progress=display.progress,
                 result=on_result,

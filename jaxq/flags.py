@@ -132,7 +132,9 @@ def parser(command: str, chosen: Preset, env: World) -> argparse.ArgumentParser:
     if several:
         count = partial(run.add_argument, action=Once, type=whole, default=None, metavar="N")
         count("--seeds", help=f"seeds of each setting (default {SEEDS})")
-        run.add_argument("--method", action=Once, default=None, help=f"how settings are chosen: {', '.join(METHODS[:3])}")
+        run.add_argument(
+            "--method", action=Once, default=None, help=f"how settings are chosen: {', '.join(METHODS[:3])}"
+        )
         count("--samples", help=f"settings that sobol or random takes (default {SAMPLES})")
         count("--halving", help="stop all but the best of every N settings at each of several rungs on the way")
         count("--rungs", help="at most so many rungs, the last ones (default as many as the settings allow)")

@@ -3,21 +3,24 @@
 ``jaxq.sweep(fn, rate=[0.1, 0.2], seeds=100)`` calls the pure function ``fn(key, hypers) -> pytree`` once per setting
 and seed: ``key`` is the lane's typed key, ``hypers`` a NamedTuple of the values by name. Numbers are traced, float32 or
 int32, so they share one program; words, truth values and tuples are plain Python, and each combination of them is
-compiled once. What it returns stands in ``lanes``, a column per leaf: numbers as they are, arrays as lists. A lane whose
-result is not finite is ``diverged``.
+compiled once. What it returns stands in ``lanes``, a column per leaf: numbers as they are, arrays as lists. A lane
+whose result is not finite is ``diverged``.
 """
 
 from __future__ import annotations
 
+import keyword
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Optional
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from pydantic import create_model
 
 from jaxq import plans, prng, programs, worlds
+from jaxq.axes import Range
 from jaxq.experiment import FINISHED, Log
 from jaxq.plans import Plan
 from jaxq.programs import Program
@@ -26,6 +29,8 @@ from jaxq.types import Array, Clock, Experiment, Hypers, Key
 
 #: Lanes of a group, where the caller does not say.
 WIDTH = 4
+#: Columns of the tables that are no value's and no result's.
+COLUMNS = ("config", "seed", "seeds", "status", "diverged")
 
 
 class FunctionSettings(Settings):
@@ -68,14 +73,12 @@ def plan(
     """
     if isinstance(width, bool) or not isinstance(width, int) or not 1 <= width <= 2**20:
         raise ValueError(f"width: {width!r} is not allowed: an integer from 1 to {2**20}")
+    values, settings = _plain(values), _plain(settings)
     kind = _kind(fn, width, values, settings)
-    known = set(kind.model_fields)
+    defaults = kind.model_construct()
 
     def settled(**point: Any) -> Settings:
-        for name in point:
-            if name not in known:
-                raise ValueError(f"{name}: is not a value of every setting")
-        return changed(kind(), point)
+        return changed(defaults, point)
 
     return plans.make(
         getattr(fn, "__name__", type(fn).__name__).strip("<>"),
@@ -90,21 +93,48 @@ def plan(
     )
 
 
+def _plain(value: Any) -> Any:
+    """With Python's numbers where NumPy's stand."""
+    if isinstance(value, dict):
+        return {name: _plain(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(_plain(one) for one in value)
+    return value.item() if isinstance(value, np.generic) else value
+
+
 def _kind(fn: Callable[..., Any], width: int, values: Mapping[str, Any], settings: Any) -> type[FunctionSettings]:
     """A record with a field per value; its defaults are the first values."""
+    several = {name: value if isinstance(value, list) else [value] for name, value in values.items()}
+    listed = [one for one in settings if isinstance(one, dict)] if isinstance(settings, list) else []
+    for name in dict.fromkeys(name for one in listed for name in one):
+        if not all(name in one for one in listed):
+            raise ValueError(f"{name}: is not a value of every setting")
+        several.setdefault(name, [one[name] for one in listed])
     fields: dict[str, Any] = {}
-    firsts = {**dict((settings or [{}])[0]), **values}
-    for name, value in firsts.items():
-        first = value[0] if isinstance(value, list) and value else value
-        first = first.min if isinstance(first, plans.Range) else first
-        several = value if isinstance(value, list) else [value]
-        real = any(isinstance(one, float) or isinstance(getattr(one, "min", None), float) for one in several)
-        traced = isinstance(first, (int, float)) and not isinstance(first, bool)
-        annotation = (float if real else int) if traced else tuple if isinstance(first, tuple) else type(first)
-        fields[name] = (annotation, (number if traced else structure)(first, ""))
+    for name, found in several.items():
+        if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
+            raise ValueError(f"{name}: is not allowed as the name of a value")
+        if name in COLUMNS or hasattr(FunctionSettings, name):
+            raise ValueError(f"{name}: is not allowed as the name of a value: it has another meaning")
+        flat = [end for one in found for end in ((one.min, one.max) if isinstance(one, Range) else (one,))]
+        annotation = _annotation(name, flat)
+        default = (number if annotation in (int, float) else structure)(flat[0] if flat else None, "")
+        fields[name] = (annotation, default)
     made: Any = create_model("Values", __base__=FunctionSettings, **fields)
     made.function, made.width, made.source = staticmethod(fn), width, worlds.source_of(fn)
     return made  # type: ignore[no-any-return]
+
+
+def _annotation(name: str, values: list[Any]) -> Any:
+    """The type of a field that holds all of these values; int and float are traced."""
+    kinds = {type(value) for value in values}
+    if strange := [value for value in values if not isinstance(value, (bool, int, float, str, tuple, type(None)))]:
+        raise ValueError(f"{name}: {strange[0]!r} is not allowed: a number, a truth value, a word or a tuple")
+    if {int, float} <= kinds:
+        kinds -= {int}
+    if len(kinds - {type(None)}) > 1:
+        raise ValueError(f"{name}: {', '.join(map(str, values))} are not of one kind")
+    return Optional[next(iter(kinds - {type(None)}), None)] if type(None) in kinds else next(iter(kinds), None)
 
 
 @programs.hypers.register
@@ -115,7 +145,7 @@ def _(settings: FunctionSettings) -> Hypers:
 
 @programs.program.register
 def _(settings: FunctionSettings, impl: str) -> Program:
-    record: Any = namedtuple("Hypers", list(type(settings).model_fields))  # noqa: PYI024
+    record: Any = namedtuple("Hypers", [*type(settings).model_fields])  # type: ignore[misc]
     fixed = {name: value for name, value in settings.flat().items() if settings.is_structure(name)}
     fn = type(settings).function
 
@@ -129,6 +159,7 @@ def _(settings: FunctionSettings, impl: str) -> Program:
     def init(key: Key, hypers: Hypers) -> tuple[FunctionState, Log]:
         words, zero = jax.random.key_data(key), jnp.zeros((), jnp.int32)
         shapes = jax.eval_shape(call, words, hypers)
+        _check_output(shapes, record._fields)
         clock = Clock(zero, zero, zero, jnp.ones((), jnp.float32))
         empty = Log(*(leaf[:0] if leaf.ndim else leaf for leaf in log()))
         output = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
@@ -136,10 +167,30 @@ def _(settings: FunctionSettings, impl: str) -> Program:
 
     def advance(state: FunctionState, hypers: Hypers) -> tuple[FunctionState, Log]:
         clock = state.clock._replace(live=jnp.zeros((), jnp.float32))
-        return state._replace(clock=clock, status=state.status * 0 + FINISHED, output=call(state.key_words, hypers)), log()
+        return state._replace(
+            clock=clock, status=state.status * 0 + FINISHED, output=call(state.key_words, hypers)
+        ), log()
 
     def evaluate(key: Key, policy: Any, hypers: Hypers) -> Array:
         return jnp.zeros((0,))
 
     made = Experiment(init, advance, evaluate, policy=lambda state, hypers: state.output)
     return Program(made, width=type(settings).width, num_envs=1)
+
+
+def _check_output(shapes: Any, values: Sequence[str]) -> None:
+    """Raises ValueError for a result that no table can hold."""
+    leaves = jax.tree.leaves(shapes)
+    if not leaves:
+        raise ValueError("the function returns nothing: a tree of arrays is needed")
+    for leaf in leaves:
+        if not any(jnp.issubdtype(leaf.dtype, kind) for kind in (jnp.bool_, jnp.integer, jnp.floating)):
+            raise ValueError(f"the function returns an array of {leaf.dtype}: real numbers or truth values are needed")
+    names = (
+        shapes
+        if isinstance(shapes, dict)
+        else getattr(shapes, "_fields", () if shapes is not leaves[0] else ("result",))
+    )
+    for name in names:
+        if name in (*COLUMNS, *values):
+            raise ValueError(f"{name}: is returned by the function, but a column of this name is there already")

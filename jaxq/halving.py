@@ -23,7 +23,7 @@ from jaxq.tally import PauseAt
 class Rung(NamedTuple):
     """Where settings are compared: at this part of a lane's limit."""
 
-    index: int
+    number: int
     fraction: float
 
 

@@ -51,10 +51,10 @@ def run(
     """Yields each lane's Result as it ends, in no fixed order.
 
     ``total`` is the number of lanes, for the progress. ``on_episodes`` is called for every lane at each of its segments
-    with all episodes that it has finished. ``on_saved`` is called with each lane that has been under way for another
+    with all episodes that it has finished, ``on_saved`` with each lane that has been under way for another
     ``checkpoint_s`` seconds, and with those under way when the run is stopped. ``stop`` set: every worker finishes its
-    segment, hands on what ended, and the iterator ends. An exception in a worker or of a listener, or Ctrl-C, is raised here once all that
-    ended is handed on.
+    segment, hands on what ended, and the iterator ends. An exception in a worker or of a listener, or Ctrl-C, is raised
+    here once all that ended is handed on.
     """
     stop = stop or threading.Event()
     shared = Shared(

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 
 from jaxq import machine
-from jaxq.plans import Plan
+from jaxq.plans import Plan, spec_hash
 
 FORMAT = 3
 
@@ -47,12 +47,28 @@ def read(path: Path) -> Manifest:
         raise BrokenManifest(f"{path}: cannot be read; {_MEND}") from None
     kinds = {"format": int, "id": str, "spec_hash": str, "spec": dict, "versions": dict, "widths": dict}
     kinds |= {"files": dict, "rungs": list, "mismatches": list}
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
+    if not isinstance(found, dict) or not isinstance(found.get("format"), int):
+        raise BrokenManifest(f"{path}: is no manifest; {_MEND}")
+    if found["format"] != FORMAT:
         raise RunError(f"{path}: is not a manifest of this version; choose another --out")
     for name, kind in kinds.items():
         if not isinstance(found.get(name), kind):
             raise BrokenManifest(f"{path}: {name} is damaged; {_MEND}")
+    if spec_hash(found["spec"]) != found["spec_hash"]:
+        raise BrokenManifest(f"{path}: spec is damaged; {_MEND}")
+    if not all(_is_rung(decided) for decided in found["rungs"]):
+        raise BrokenManifest(f"{path}: rungs is damaged; {_MEND}")
     return found
+
+
+def _is_rung(decided: Any) -> bool:
+    """Whether it is what halving decided."""
+    return (
+        isinstance(decided, dict)
+        and isinstance(decided.get("rung"), int)
+        and isinstance(decided.get("stopped"), list)
+        and all(isinstance(config, int) for config in decided["stopped"])
+    )
 
 
 _MEND = "--resume --allow-mismatch makes another of the parts that are sound, --overwrite starts anew"
@@ -122,12 +138,16 @@ def _by_name(spec: Manifest) -> dict[str, Any]:
 
 def _extends(there: Manifest, here: Manifest) -> bool:
     """Whether every lane of one sweep is a lane of the other, under the same setting and seed."""
-    same = all(there.get(name) == here.get(name) for name in ("preset", "root_seed", "prng", "source"))
-    if not same or there.get("halving") is not None or here.get("halving") is not None:
+    if kin(there) != kin(here) or here.get("halving") is not None:
         return False
     old, new = rows(there), rows(here)
     seeds_there, seeds_here = seeds_of(there), seeds_of(here)
     return old == new[: len(old)] and seeds_there <= seeds_here
+
+
+def kin(spec: Manifest) -> dict[str, Any]:
+    """What a lane depends on beside its setting and its seed."""
+    return {name: spec.get(name) for name in ("preset", "root_seed", "prng", "source", "halving", "rungs")}
 
 
 def rows(spec: Manifest) -> list[dict[str, Any]]:

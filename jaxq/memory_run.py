@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,8 +24,9 @@ class MemoryRun:
         self._tables: dict[str, list[pa.Table]] = {}
         self._policies: dict[tuple[int, int], Weights] = {}
         self._about: dict[str, str] = {}
-        self._folder = tempfile.TemporaryDirectory(prefix="jaxq-")
-        self.checkpoints = Checkpoints(Path(self._folder.name), "memory", say=lambda text: None)
+        folder = tempfile.mkdtemp(prefix="jaxq-")
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)  # TemporaryDirectory would warn
+        self.checkpoints = Checkpoints(Path(folder), "memory", say=lambda text: None)
         self.manifest: dict[str, Any] = {"rungs": []}
 
     def write(

@@ -136,10 +136,10 @@ class Outcome:
         return saved_policy.load(weights, about, config)
 
     def plot(self, kind: str = "curves", **options: Any) -> Any:
-        """A picture as a matplotlib Figure: see ``pictures.draw`` for the kinds and their options."""
-        from jaxq import pictures
+        """A picture as a matplotlib Figure: see ``drawing.draw`` for the kinds and their options."""
+        from jaxq import drawing
 
-        return pictures.draw(self, kind, **options)
+        return drawing.draw(self, kind, **options)
 
     def __str__(self) -> str:
         from jaxq import report

@@ -1,9 +1,14 @@
-"""Parts: the tables of a run directory as Parquet files, a batch of lanes each, and the policies beside them."""
+"""Parts: the tables of a run directory as Parquet files, a batch of lanes each, and the policies beside them.
+
+A batch's ``lanes`` part, its commit, says in its metadata what else belongs to the batch, with its SHA-256.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,8 +20,12 @@ from jaxq import run_files
 from jaxq.store import Weights
 from jaxq.tables import in_order
 
-def table_bytes(table: pa.Table) -> bytes:
-    """A table as a Parquet file with a checksum per page."""
+_ABOUT = b"jaxq"
+
+
+def table_bytes(table: pa.Table, about: Mapping[str, Any] | None = None) -> bytes:
+    """A table as a Parquet file with a checksum per page, and with ``about`` in its metadata."""
+    table = table.replace_schema_metadata(None if about is None else {_ABOUT: json.dumps(about)})
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, write_page_checksum=True, compression="zstd")
     return sink.getvalue().to_pybytes()
@@ -39,20 +48,19 @@ def read(path: Path, kind: str) -> pa.Table | None:
     """
     sound = run_files.committed(path)
     files = [
-        file
-        for number, file in run_files.batches(path)
-        if number in sound and file.name.endswith(f"-{kind}.parquet")
+        file for number, file in run_files.batches(path) if number in sound and file.name.endswith(f"-{kind}.parquet")
     ]
     if not files:
         return None
-    return in_order(pa.concat_tables([pq.read_table(file) for file in files], promote_options="default"))
+    tables = [pq.read_table(file).replace_schema_metadata(None) for file in files]
+    return in_order(pa.concat_tables(tables, promote_options="default"))
 
 
 def read_policy(path: Path, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """A lane's final weights by name, and the metadata of their file; both empty where it has none."""
-    prefix = f"{config}/{seed}/"
-    for _, file in run_files.batches(path):
-        if file.suffix == ".safetensors":
+    prefix, sound = f"{config}/{seed}/", run_files.committed(path)
+    for number, file in run_files.batches(path):
+        if file.suffix == ".safetensors" and number in sound:
             with safetensors.safe_open(file, "numpy") as tensors:
                 names = [name for name in tensors.keys() if name.startswith(prefix)]  # noqa: SIM118
                 if names:
@@ -61,13 +69,16 @@ def read_policy(path: Path, config: int, seed: int) -> tuple[dict[str, np.ndarra
     return {}, {}
 
 
-def is_sound(file: Path) -> bool:
-    """Whether a file without a known hash can be read through."""
+def commit(path: Path, number: str) -> dict[str, Any] | None:
+    """What the ``lanes`` part of a batch says of it: ``files``, those that were written before it by their SHA-256, and
+    what else it was given. None where the part cannot be read through, or one of the files is not as it was written.
+    """
+    part = path / run_files.lanes_part(number)
     try:
-        if file.suffix == ".parquet":
-            pq.read_table(file, page_checksum_verification=True)
-        else:
-            safetensors.numpy.load_file(file)
-    except (OSError, pa.ArrowException, safetensors.SafetensorError):
-        return False
-    return True
+        metadata = pq.read_table(part, page_checksum_verification=True).schema.metadata or {}
+        about: dict[str, Any] = json.loads(metadata[_ABOUT])
+        same = all(run_files.sha256((path / name).read_bytes()) == digest for name, digest in about["files"].items())
+    except (OSError, ValueError, KeyError, pa.ArrowException):
+        return None
+    there = {file for found, file in run_files.batches(path) if found == number}
+    return about if same and there == {part, *(path / name for name in about["files"])} else None

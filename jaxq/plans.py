@@ -12,7 +12,7 @@ from typing import Any
 from jaxq import axes, worlds
 from jaxq.axes import METHODS, SAMPLES, Axis, Range
 from jaxq.families import FAMILIES
-from jaxq.presets import Preset, preset, settle
+from jaxq.presets import preset, settle
 from jaxq.settings import Settings
 from jaxq.suggest import nearest
 
@@ -91,11 +91,16 @@ class Plan:
 
     def hash(self) -> str:
         """SHA-256 of the spec's canonical JSON."""
-        return hashlib.sha256(json.dumps(self.spec(), sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+        return spec_hash(self.spec())
 
     def default_name(self) -> str:
         """The preset and the first characters of the spec's hash."""
         return f"{self.name}-{self.hash()[:8]}"
+
+
+def spec_hash(spec: Mapping[str, Any]) -> str:
+    """SHA-256 of a spec's canonical JSON."""
+    return hashlib.sha256(json.dumps(spec, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def plan(
@@ -124,7 +129,10 @@ def plan(
     """
     base = preset(name)
     if env is not None:
-        values = {"env": worlds.world(env), **values}
+        world = worlds.world(env)
+        plain = type(world)()
+        own = {f"env.{name}": value for name, value in world if value != getattr(plain, name)}
+        values = {"env": plain, **own, **values}
     return make(
         base.name,
         lambda **point: settle(base, **point),
@@ -154,13 +162,13 @@ def make(
     halving: int | None = None,
     rungs: int | None = None,
 ) -> Plan:
-    """The plan of any kind of settings, which ``settled`` makes of values by name. Raises ValueError as ``plan`` does."""
+    """The plan of any kind of settings, which ``settled`` makes of values by name. Raises ValueError as ``plan``."""
     given = {field: value if isinstance(value, (list, Range)) else [value] for field, value in values.items()}
     if method is None:
         ranges = any(isinstance(axis, Range) for axis in given.values())
         method = "list" if settings is not None else "sobol" if ranges else "grid"
     if prng not in FAMILIES:
-        raise ValueError(f"prng: {prng!r} is unknown{nearest(prng, FAMILIES)}")
+        raise ValueError(f"prng: {prng!r} is unknown{nearest(str(prng), FAMILIES)}")
     _whole("seeds", seeds, 1, MAX_SEEDS)
     _whole("seed", root_seed, 0, MAX_SEED)
     if halving is not None:
@@ -199,14 +207,15 @@ def _whole(name: str, value: Any, low: int, high: int) -> None:
 
 def _check_method(method: str, samples: int | None, settings: Any) -> None:
     if method not in METHODS:
-        raise ValueError(f"method: {method!r} is unknown{nearest(method, METHODS)}")
+        raise ValueError(f"method: {method!r} is unknown{nearest(str(method), METHODS)}")
     if samples is not None:
         _whole("samples", samples, 1, MAX_SAMPLES)
         if method not in ("random", "sobol"):
             raise ValueError(f"samples: {samples} is not allowed with the method {method}, which draws none")
     if (method == "list") != (settings is not None):
         raise ValueError("settings: the method list needs them, and no other method takes them")
-    if settings is not None and (not settings or not all(isinstance(one, Mapping) for one in settings)):
+    listed = isinstance(settings, Sequence) and all(isinstance(one, Mapping) for one in settings)
+    if settings is not None and not (settings and listed):
         raise ValueError(f"settings: {settings!r} is not allowed: at least one, each a mapping of values")
 
 
@@ -228,7 +237,8 @@ def _request(
         one = settled(**{**first, name: value})
         return getattr(one, name) if name == "env" else one.flat()[name]
 
-    fixed, varying = {}, {}
+    fixed: dict[str, Any] = {}
+    varying: dict[str, Axis] = {}
     for name, axis in given.items():
         if isinstance(axis, Range):
             _in_range(name, axis, checked)

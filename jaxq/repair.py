@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jaxq import parts, run_files
-from jaxq.manifest import Manifest
+from jaxq.manifest import Manifest, kin
 from jaxq.plans import Plan, shown
 
 Say = Callable[[str], None]
@@ -24,21 +24,22 @@ def settle(path: Path, held: Manifest, say: Say) -> None:
     """
     known = held["files"]
     listed = {number for name in known if (number := run_files.batch(Path(name)))}
-    committed = run_files.committed(path)
     damaged: dict[str, str] = {}
     for name, digest in known.items():
         number, file = run_files.batch(Path(name)), path / name
         if number and not (file.is_file() and run_files.sha256(file.read_bytes()) == digest):
             damaged.setdefault(number, name)
+    for number in sorted(run_files.committed(path) - listed):  # a kill came between the commit and the manifest
+        if parts.commit(path, number) is None:
+            damaged[number] = run_files.lanes_part(number)
+        else:
+            _adopt(path, number, held)
+            listed.add(number)
     for number, file in list(run_files.batches(path)):
-        name = f"{file.parent.name}/{file.name}"
-        if number not in committed and number not in listed:
+        if number not in listed and number not in damaged:
             file.unlink()  # never happened
-        elif number not in damaged and name not in known:  # a kill came between the commit and the manifest
-            if parts.is_sound(file):
-                known[name] = run_files.sha256(file.read_bytes())
-            else:
-                damaged[number] = name
+        elif f"{file.parent.name}/{file.name}" not in known:
+            damaged.setdefault(number, f"{file.parent.name}/{file.name}")
     for number, name in sorted(damaged.items()):
         quarantine(path, number)
         for gone in [name for name in known if run_files.batch(Path(name)) == number]:
@@ -47,17 +48,25 @@ def settle(path: Path, held: Manifest, say: Say) -> None:
 
 
 def rebuild(path: Path, plan: Plan, held: Manifest, say: Say) -> None:
-    """Fills a new manifest from the parts of a run whose own manifest is lost: batches that can be read through and
-    whose every row is of a setting and seed of the plan. Others are put aside.
+    """Fills a new manifest from the parts of a run whose own manifest is lost: batches that are as they were written,
+    of the same sweep, and whose every row is of a setting and seed of the plan. Others are put aside.
     """
+    sweep = kin(plan.spec())
     for number in sorted(run_files.committed(path)):
-        files = [file for n, file in run_files.batches(path) if n == number]
-        if all(parts.is_sound(file) for file in files) and _belongs(path / f"parts/{number}-lanes.parquet", plan):
-            for file in files:
-                held["files"][f"{file.parent.name}/{file.name}"] = run_files.sha256(file.read_bytes())
+        about = parts.commit(path, number)
+        if about and about["sweep"] == sweep and _belongs(path / run_files.lanes_part(number), plan):
+            _adopt(path, number, held)
+            held["rungs"] = max(held["rungs"], about["rungs"], key=len)  # all that was decided when it was written
         else:
             quarantine(path, number)
             say(f"batch {number} of {path}: is damaged or of another sweep; put aside in {run_files.QUARANTINE}")
+
+
+def _adopt(path: Path, number: str, held: Manifest) -> None:
+    """Enters the files of a batch."""
+    for found, file in run_files.batches(path):
+        if found == number:
+            held["files"][f"{file.parent.name}/{file.name}"] = run_files.sha256(file.read_bytes())
 
 
 def quarantine(path: Path, number: str) -> None:

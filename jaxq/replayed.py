@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +12,18 @@ import numpy as np
 
 from jaxq import prng, programs
 from jaxq.evaluation import greedy_returns
-from jaxq.outcome import Outcome
-from jaxq.types import Array
+from jaxq.saved_policy import SavedPolicy
+from jaxq.types import Array, Key
+
+
+class Trained(Protocol):
+    """A sweep whose policies were kept."""
+
+    def settings(self, config: int) -> Any:
+        """The settings of one setting's index."""
+
+    def policy(self, config: int, seed: int = 0) -> SavedPolicy:
+        """A training's final policy."""
 
 
 class Played(NamedTuple):
@@ -30,23 +40,25 @@ class Followed(NamedTuple):
     followed: np.ndarray
 
 
-def play(outcome: Outcome, config: int, seed: int, episodes: int, root_seed: int = 0) -> Played:
+def play(outcome: Trained, config: int, seed: int, episodes: int, root_seed: int = 0) -> Played:
     """Plays a saved policy greedily, from start states that its training and evaluation did not see.
 
     Raises ValueError where no policy was kept.
     """
     made, q_values = _lane(outcome, config, seed)
-    key = jax.random.fold_in(prng.key(root_seed, "threefry"), 0)
+
+    def key() -> Key:  # made twice: an episode consumes what its start is told by
+        return jax.random.fold_in(prng.key(root_seed, "threefry"), 0)
 
     def start(key: Array) -> Any:  # where an episode of this key begins
         return made.world.observe(made.world.reset(jax.random.split(key)[0]))
 
-    starts = jax.vmap(start)(jax.random.split(key, episodes))
+    starts = jax.vmap(start)(jax.random.split(key(), episodes))
     run = jax.jit(lambda key: greedy_returns(key, made.env, q_values, episodes, 10**6))
-    return Played(np.asarray(starts), np.asarray(run(key)))
+    return Played(np.asarray(starts), np.asarray(run(key())))
 
 
-def follow(outcome: Outcome, config: int, seed: int, episodes: int = 20, steps: int = 500) -> Followed:
+def follow(outcome: Trained, config: int, seed: int, episodes: int = 20, steps: int = 500) -> Followed:
     """What a saved policy predicts along its greedy episodes beside the return that really follows.
 
     max_a q(s_t, a) beside r_{t+1} + gamma r_{t+2} + ..., which ends at a termination alone: an episode that would be
@@ -84,7 +96,7 @@ def follow(outcome: Outcome, config: int, seed: int, episodes: int = 20, steps: 
     return Followed(predicted[:, :steps][seen], returns[:, :steps][seen])
 
 
-def _lane(outcome: Outcome, config: int, seed: int, endless: bool = False) -> tuple[Any, Callable[[Array], Array]]:
+def _lane(outcome: Trained, config: int, seed: int, endless: bool = False) -> tuple[Any, Callable[[Array], Array]]:
     """What plays a lane's policy, and its action values as a function that can be traced."""
     settings = outcome.settings(config)
     if endless and "max_episode_steps" in type(settings.env).model_fields:

@@ -78,6 +78,11 @@ def committed(path: Path) -> set[str]:
     return {number for number, file in batches(path) if file.name.endswith("-lanes.parquet")}
 
 
+def lanes_part(number: str) -> str:
+    """The name of a batch's ``lanes`` part in its run's directory."""
+    return f"{PARTS}/{number}-lanes.parquet"
+
+
 def checkpoint(config: int, seed: int) -> str:
     """The name of a lane's checkpoint in its folder."""
     return f"{config}-{seed}.safetensors"

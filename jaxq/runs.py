@@ -80,8 +80,10 @@ class RunDirectory:
 
     @classmethod
     def _again(cls, path: Path, plan: Plan, lock: filelock.BaseFileLock, allow: bool, say: Say) -> RunDirectory:
+        before = None
         try:
             found = manifest.read(path / run_files.MANIFEST)
+            before = found["spec_hash"]
             manifest.agree(path, found, plan, allow)
         except BrokenManifest as error:
             if not allow:
@@ -99,6 +101,8 @@ class RunDirectory:
         repair.settle(path, found, say)
         run = cls(path, found, lock, resumed=True, allow=allow, say=say)
         run._write_manifest()
+        if before != plan.hash() or not (path / run_files.SWEEP).exists():
+            run._write_sweep(plan)
         return run
 
     @classmethod
@@ -109,9 +113,8 @@ class RunDirectory:
         try:
             for folder in run_files.FOLDERS:
                 (path / folder).mkdir(exist_ok=True)
-            with contextlib.suppress(ValueError):  # of a function of the user's own there is no file
-                run_files.replace(path / run_files.SWEEP, sweep_files.text(plan).encode())
-            run._write_manifest()
+            run._write_manifest()  # first: a directory without one is not a run
+            run._write_sweep(plan)
         except (OSError, RunError, WriteError):
             _unmake(path, made)
             raise
@@ -134,11 +137,20 @@ class RunDirectory:
         """
         # From the files, not the manifest: a kill between a commit and the manifest must not reuse its number.
         number = f"{1 + max((int(batch) for batch, _ in run_files.batches(self.path)), default=-1):05d}"
+        written: dict[str, str] = {}
+
+        def keep(name: str, data: bytes) -> None:
+            run_files.replace(self.path / name, data)
+            written[name] = run_files.sha256(data)
+
         if policies:
-            self._keep(f"{run_files.POLICIES}/{number}.safetensors", parts.policies_bytes(policies, about or {}))
-        for kind in sorted(tables, key=lambda kind: kind == "lanes"):
-            if len(tables[kind]):
-                self._keep(f"{run_files.PARTS}/{number}-{kind}.parquet", parts.table_bytes(tables[kind]))
+            keep(f"{run_files.POLICIES}/{number}.safetensors", parts.policies_bytes(policies, about or {}))
+        for kind in tables:
+            if kind != "lanes" and len(tables[kind]):
+                keep(f"{run_files.PARTS}/{number}-{kind}.parquet", parts.table_bytes(tables[kind]))
+        says = {"files": dict(written), "sweep": manifest.kin(self.manifest["spec"]), "rungs": self.manifest["rungs"]}
+        keep(run_files.lanes_part(number), parts.table_bytes(tables["lanes"], says))
+        self.manifest["files"] |= written
         self._write_manifest()
 
     def agree_width(self, config: int, width: int) -> None:
@@ -171,9 +183,9 @@ class RunDirectory:
         """A lane's final weights by name, and what describes them; both empty where it has none."""
         return parts.read_policy(self.path, config, seed)
 
-    def _keep(self, name: str, data: bytes) -> None:
-        run_files.replace(self.path / name, data)
-        self.manifest["files"][name] = run_files.sha256(data)
+    def _write_sweep(self, plan: Plan) -> None:
+        with contextlib.suppress(ValueError):  # of a function of the user's own there is no file
+            run_files.replace(self.path / run_files.SWEEP, sweep_files.text(plan).encode())
 
     def _write_manifest(self) -> None:
         self.manifest["process"] = os.getpid()
@@ -218,7 +230,7 @@ def _says_run(marked: Path) -> bool:
 
 def _unmake(path: Path, made: list[Path]) -> None:
     """Takes back a directory that could not be begun: the empty folders of a run, and those made on the way."""
-    for name in (run_files.LOCK, run_files.SWEEP):
+    for name in (run_files.LOCK, run_files.MANIFEST, run_files.SWEEP):
         with contextlib.suppress(OSError):
             (path / name).unlink()
     for folder in (*(path / name for name in run_files.FOLDERS), *made):

@@ -87,7 +87,7 @@ def flatten(policy: Any, alone: str = "table") -> dict[str, np.ndarray]:
 
 
 def _paths(tree: Any) -> Iterable[tuple[str, np.ndarray]]:
-    branches = tree.items() if isinstance(tree, dict) else None
+    branches: Iterable[tuple[Any, Any]] | None = tree.items() if isinstance(tree, dict) else None
     if isinstance(tree, (list, tuple)):
         named = getattr(tree, "_fields", None) or map(str, range(len(tree)))
         branches = zip(named, tree, strict=True)

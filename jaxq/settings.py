@@ -83,12 +83,14 @@ class Settings(BaseModel):
 
     @model_validator(mode="after")
     def _float32(self) -> Settings:
-        """Numbers are float32 in the program: too large is infinite there, too small is 0."""
+        """Numbers are float32 or int32 in the program: too large is infinite there or another one, too small is 0."""
         for name in type(self).model_fields:
             value = getattr(self, name)
             if isinstance(value, float) and value != 0 and not 1e-37 < abs(value) < 1e38:
                 zero = "" if any(hasattr(rule, "gt") for rule in type(self).model_fields[name].metadata) else "0, or "
                 raise ValueError(f"{name}: {value} is not allowed: {zero}a size from 1e-37 to 1e38")
+            if isinstance(value, int) and not -(2**31) <= value < 2**31:
+                raise ValueError(f"{name}: {value} is not allowed: a whole number of 32 bits")
         return self
 
 

@@ -22,6 +22,7 @@ from jaxq.halving import Rung
 from jaxq.outcome import Outcome, Timing
 from jaxq.plans import Plan
 from jaxq.programs import hypers, program
+from jaxq.run_files import WriteError
 from jaxq.saved_policy import flatten
 from jaxq.shared import Progress
 from jaxq.store import Store
@@ -108,7 +109,7 @@ class Sweep:
         """[settings] those that were not stopped at a rung before this one."""
         alive = np.ones(len(self.planned.settings), bool)
         for decided in self.store.manifest["rungs"]:
-            if rung is None or decided["rung"] < rung.index:
+            if rung is None or decided["rung"] < rung.number:
                 alive[decided["stopped"]] = False
         return alive
 
@@ -134,7 +135,7 @@ class Sweep:
         checkpoints, found = self.store.checkpoints, []
         for config, seed in checkpoints.lanes():
             at = checkpoints.at_rung(config, seed)
-            if at is not None and at.rung >= rung.index:
+            if at is not None and at.rung >= rung.number:
                 found.append((config, seed))
         return found
 
@@ -192,9 +193,7 @@ class Sweep:
         self.timing.run_s += time.perf_counter() - began
         self.timing.book(seen)
 
-    def _lanes(
-        self, configs: list[int], pending: np.ndarray, rung: Rung | None, built: Executables
-    ) -> Iterator[Lane]:
+    def _lanes(self, configs: list[int], pending: np.ndarray, rung: Rung | None, built: Executables) -> Iterator[Lane]:
         shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), built.empty)
         under_way = set(self.store.checkpoints.lanes())
         for config in configs:
@@ -212,22 +211,23 @@ class Sweep:
 
     def _take(self, result: Result, rung: Rung | None) -> None:
         if result.status == "paused" and rung is not None and result.saved is not None:
-            self.store.checkpoints.save(
-                result.saved, AtRung(rung.index, result.eval_returns, flatten(result.policy))
-            )
+            self.store.checkpoints.save(result.saved, AtRung(rung.number, result.eval_returns, flatten(result.policy)))
         else:
             self.batches.add(result)
 
     def _judge(self, alive: np.ndarray, rung: Rung) -> None:
         """Decides at a rung, unless that was decided before, and writes the rows of the lanes that stop there."""
         self.batches.flush()
-        found = [decided for decided in self.store.manifest["rungs"] if decided["rung"] == rung.index]
+        found = [decided for decided in self.store.manifest["rungs"] if decided["rung"] == rung.number]
         decided = found[0] if found else self._decide(alive, rung)
         for config in decided["stopped"]:
             for i, seed in enumerate(self.planned.seeds):
                 if not self.have[config, i]:
-                    self.batches.add(self._stopped(config, seed), rung.index)
+                    result = self._stopped(config, seed)
+                    self.batches.add(result, rung.number)
                     self.overall.done += 1
+                    if self.tell.result:
+                        self.tell.result(result)
         self.batches.flush()
         if self.tell.rung and not found:
             self.tell.rung(decided)
@@ -246,7 +246,7 @@ class Sweep:
         scores = {config: halving.score(values) for config, values in returns.items()}
         kept = halving.kept(scores, self.planned.halving or 2)
         decided = {
-            "rung": rung.index,
+            "rung": rung.number,
             "fraction": rung.fraction,
             "scores": {str(config): score if np.isfinite(score) else None for config, score in scores.items()},
             "kept": kept,
@@ -259,7 +259,13 @@ class Sweep:
         """A lane that waits at a rung, as one that was stopped there."""
         settings, checkpoints = self.planned.settings[config], self.store.checkpoints
         at, books = checkpoints.at_rung(config, seed), checkpoints.books(config, seed)
-        lane = Lane(config, seed, hypers(settings))
+        if at is None or books is None:  # it was sound when it was judged
+            raise WriteError(f"setting {config}, seed {seed}: its checkpoint is gone")
         return tally.result_of(
-            lane, books, getattr(settings, "num_envs", 1), status="stopped", policy=at.policy, eval_returns=at.eval_returns
+            Lane(config, seed, hypers(settings)),
+            books,
+            getattr(settings, "num_envs", 1),
+            status="stopped",
+            policy=at.policy,
+            eval_returns=at.eval_returns,
         )

@@ -33,10 +33,10 @@ class Window(NamedTuple):
 
 
 class Returns(NamedTuple):
-    """The last episodes' returns, in a ring, and how many episodes there have been, counted up to the window."""
+    """The last episodes' returns, in a ring, and how many there have been, counted up to the window."""
 
     ring: Window
-    count: Array
+    episodes: Array
 
 
 def streak() -> Success:
@@ -93,8 +93,8 @@ def mean_return(window: int, threshold: float) -> Success:
 
     def update(state: Returns, over: Array, length: Array, total: Array, limits: Any) -> tuple[Returns, Array]:
         del length, limits
-        ring, count = _push(state.ring, over, total), jnp.minimum(state.count + over, window)
-        return Returns(ring, count), (count >= window) & (jnp.sum(ring.values) >= threshold * window)
+        ring, episodes = _push(state.ring, over, total), jnp.minimum(state.episodes + over, window)
+        return Returns(ring, episodes), (episodes >= window) & (jnp.sum(ring.values) >= threshold * window)
 
     return Success(init, update)
 

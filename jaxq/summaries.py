@@ -119,9 +119,7 @@ def _time(mine: dict[str, np.ndarray], at: str, clock: str, limit: str) -> Estim
     return stats.kaplan_meier_median(times.tolist(), observed.tolist())
 
 
-def time_to_success(
-    mine: dict[str, np.ndarray], at: str, clock: str, limit: str
-) -> tuple[np.ndarray, np.ndarray]:
+def time_to_success(mine: dict[str, np.ndarray], at: str, clock: str, limit: str) -> tuple[np.ndarray, np.ndarray]:
     """When each lane was solved, or until when it was watched, and whether it was solved.
 
     A lane that reached the limit of this clock, or was stopped by halving, was watched until then. One that ended for

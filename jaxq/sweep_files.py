@@ -28,6 +28,7 @@ import tomli_w
 
 from jaxq.axes import Range
 from jaxq.plans import Plan, plan
+from jaxq.presets import Training
 from jaxq.suggest import nearest
 from jaxq.worlds import World
 
@@ -69,7 +70,8 @@ def text(planned: Plan) -> str:
     Raises ValueError for a plan that no file can say: of a function of the user's own, or one lane of another sweep.
     """
     request = planned.request
-    if request is None or planned.seeds != tuple(range(len(planned.seeds))):
+    preset = isinstance(planned.settings[0], Training)
+    if not preset or request is None or planned.seeds != tuple(range(len(planned.seeds))):
         raise ValueError(f"{planned.name}: is not what a file can say")
     found: dict[str, Any] = {
         "preset": planned.name,
@@ -120,7 +122,7 @@ def _arguments(found: Mapping[str, Any]) -> dict[str, Any]:
 
 def _named(table: Mapping[str, Any]) -> dict[str, Any]:
     """Values by name; those in a table ``env`` by their dotted names."""
-    named = {}
+    named: dict[str, Any] = {}
     for name, value in table.items():
         if name == "env" and isinstance(value, dict):
             named |= {f"env.{inner}": below for inner, below in value.items()}

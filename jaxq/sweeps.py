@@ -65,11 +65,11 @@ def sweep(
     """Runs a preset over its axes, times ``seeds`` seeds, and returns its tables.
 
     ``jaxq.sweep("article-q", gamma=[0.95, 0.99], seeds=32).summary()``. ``values`` are those of ``plan``: axes, fixed
-    values, ``seeds``, ``root_seed``, ``prng``, ``method``, ``samples``, ``settings``, ``halving``, ``env``. Instead of a
-    preset ``name`` may be a pure function ``fn(key, hypers) -> pytree``: see ``functions``. With ``out`` the run is kept
-    in that directory, as by the command line. Nothing compiled is kept on disk unless a ``cache`` is given, such as
-    ``jaxq.compile_cache.user_cache()``. Raises ValueError as ``plan`` does, and RunError for a directory that cannot be
-    used.
+    values, ``seeds``, ``root_seed``, ``prng``, ``method``, ``samples``, ``settings``, ``halving``, ``env``. Instead of
+    a preset ``name`` may be a pure function ``fn(key, hypers) -> pytree``: see ``functions``. With ``out`` the run is
+    kept in that directory, as by the command line. Nothing compiled is kept on disk unless a ``cache`` is given, such
+    as ``jaxq.compile_cache.user_cache()``. Raises ValueError as ``plan`` does, and RunError for a directory that cannot
+    be used.
     """
     planned = functions.plan(name, **values) if callable(name) else plan(name, **values)
     if out is None:

@@ -101,7 +101,7 @@ def _outputs(results: Sequence[Result], settings: Sequence[Settings]) -> pa.Tabl
 def _output(value: np.ndarray) -> Any:
     """A leaf as a cell; what is not finite is null."""
     if value.dtype.kind == "f":
-        value = np.where(np.isfinite(value), value.astype(float), None)
+        value = np.where(np.isfinite(value), value.astype(object), None)  # type: ignore[call-overload]
     return value.tolist()
 
 
@@ -128,7 +128,9 @@ def episodes(results: Sequence[Result]) -> pa.Table:
 
 def in_order(table: pa.Table) -> pa.Table:
     """Sorted by setting and seed, and in the order of time within a lane."""
-    time = [name for name in ("episode", "env_steps") if name in table.column_names and "status" not in table.schema.names]
+    time = [
+        name for name in ("episode", "env_steps") if name in table.column_names and "status" not in table.schema.names
+    ]
     return table.sort_by([(name, "ascending") for name in ("config", "seed", *time[:1])])
 
 

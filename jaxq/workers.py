@@ -237,7 +237,9 @@ class Worker:
         """Hands on what was evaluated and has lanes evaluated; ``long``: the next time to do so is far away."""
         if self.evaluated:
             self._hand_on()
-        if len(self.waiting) >= self.width or (self.waiting and (long or time.monotonic() - self.waited_since > WAIT_SECONDS)):
+        if len(self.waiting) >= self.width or (
+            self.waiting and (long or time.monotonic() - self.waited_since > WAIT_SECONDS)
+        ):
             self._evaluate()
             if long:
                 self._hand_on()

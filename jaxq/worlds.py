@@ -5,6 +5,7 @@ A *world* says which environment a lane lives in; ``envs`` makes the environment
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import inspect
 import math
@@ -26,7 +27,7 @@ class World(Settings):
     the user's own function of the fields, None for an environment that ``envs`` knows by its ``id``.
     """
 
-    id: ClassVar[str]
+    id: ClassVar[str] = ""
     reward_threshold: ClassVar[float | None] = None
     factory: ClassVar[Callable[..., Any] | None] = None
     source: ClassVar[str | None] = None  # SHA-256 of the user's function, which a run directory remembers
@@ -78,7 +79,7 @@ def world(chosen: str | World | Callable[..., Any]) -> World:
         return chosen
     if callable(chosen):
         return _own(chosen)
-    if chosen not in WORLDS:
+    if not isinstance(chosen, str) or chosen not in WORLDS:
         raise ValueError(f"env: {chosen!r} is unknown{nearest(str(chosen), WORLDS)}")
     return WORLDS[chosen]()
 
@@ -86,21 +87,33 @@ def world(chosen: str | World | Callable[..., Any]) -> World:
 def source_of(function: Callable[..., Any]) -> str | None:
     """SHA-256 of a function's source text; None where there is none to read, as for what is built in."""
     try:
-        return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()
+        return hashlib.sha256(inspect.getsource(_written(function)).encode()).hexdigest()
     except (OSError, TypeError):
         return None
 
 
+def _written(function: Any) -> Any:
+    """The function or the class that stands in the source, where this is a part or an instance of it."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    function = inspect.unwrap(function)
+    return function if inspect.isroutine(function) or inspect.isclass(function) else type(function)
+
+
 def _own(make_env: Callable[..., Any]) -> World:
-    fields: dict[str, Any] = {}
+    written, fields = _written(make_env), {}
     for name, parameter in inspect.signature(make_env).parameters.items():
         default = parameter.default
         if default is parameter.empty or parameter.kind in (parameter.VAR_POSITIONAL, parameter.POSITIONAL_ONLY):
-            raise ValueError(f"env: every parameter of {make_env.__name__} must have a name and a default, not {name!r}")
+            raise ValueError(
+                f"env: every parameter of {written.__name__} must have a name and a default, not {name!r}"
+            )
+        if name.startswith("_") or hasattr(World, name):
+            raise ValueError(f"env: {name!r} is not allowed as a parameter of {written.__name__}: choose another name")
         traced = isinstance(default, (int, float)) and not isinstance(default, bool)
         fields[name] = (type(default), number(default, "") if traced else structure(default, ""))
     kind: Any = create_model("Own", __base__=World, **fields)
-    kind.id = f"{make_env.__module__}:{make_env.__qualname__}"
+    kind.id = f"{written.__module__}:{written.__qualname__}"
     kind.reward_threshold = getattr(make_env, "reward_threshold", None)
     kind.factory, kind.source = staticmethod(make_env), source_of(make_env)
     return kind()

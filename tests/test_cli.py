@@ -1,7 +1,9 @@
 """The command line as a user meets it: data on stdout, talk on stderr, mistakes in one line."""
 
+import hashlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,8 +21,8 @@ SHORT = ["--max-episodes", "60", "--success-steps", "30", "--success-streak", "2
 TINY = "--hidden 16 --batch-size 16 --learning-starts 32 --buffer-size 500 --max-env-steps 600".split()
 
 LANE_COLUMNS = (
-    "config seed status episodes env_steps updates solved_at_episode solved_at_step diverged_at_step stopped_at_rung"
-    " final_return eval_return"
+    "config seed env env.length gamma status episodes env_steps updates solved_at_episode solved_at_step"
+    " diverged_at_step stopped_at_rung final_return eval_return area_under_curve"
 ).split()
 
 
@@ -94,6 +96,56 @@ def test_fewer_lanes_in_another_process_give_the_same_rows(swept, capsys):
     assert (status, first["lanes"]) == (0, wanted)  # fewer lanes, other neighbours, another process: the same bits
 
 
+def test_the_rows_of_a_lane_alone_and_of_saved_policies_in_gymnasium(swept, capsys):
+    run, out, _ = swept
+    assert main(["train", "--from", str(run), "--config", "1", "--seed", "5", "--out", "again"]) == 0
+    captured = capsys.readouterr()
+    assert "bit for bit" in captured.err
+    assert Path("again/q_values.png").exists()
+    assert main(["evaluate", str(run), "--env", "gymnasium", "--config", "1", "--episodes", "5", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    recorded = {(row["config"], row["seed"]): row["eval_return"] for row in out["lanes"]}
+    assert {(row["config"], row["seed"]): row["recorded"] for row in rows}.items() <= recorded.items()
+    assert len(rows) == 12
+    for row in rows:
+        assert row["same_episodes"] >= 0.8  # float32 beside Gymnasium's float64
+        assert abs(row["pure"] - row["gymnasium"]) <= 0.2 * row["pure"]
+    assert main(["evaluate", str(run)]) == 0
+    assert "gymnasium" not in capsys.readouterr().out
+
+
+def test_a_lane_that_is_not_the_sweeps_is_exit_1(swept, capsys, tmp_path):
+    run, _, _ = swept
+    other = shutil.copytree(run, tmp_path / "other")
+    manifest = json.loads((other / "manifest.json").read_text())
+    manifest["spec"]["root_seed"] = 1
+    text = json.dumps(manifest["spec"], sort_keys=True, separators=(",", ":"))
+    manifest["spec_hash"] = hashlib.sha256(text.encode()).hexdigest()
+    (other / "manifest.json").write_text(json.dumps(manifest))
+    assert main(["train", "--from", str(other), "--config", "0", "--seed", "0", "--out", "again"]) == 1
+    assert "is not what" in capsys.readouterr().err
+
+
+def test_the_report_has_the_summary_and_its_pictures(swept, capsys):
+    run, out, _ = swept
+    assert main(["report", str(run)]) == 0
+    assert capsys.readouterr().out.strip() == str(run / "report.md")
+    text = (run / "report.md").read_text()
+    linked = [line.split("(")[1].rstrip(")") for line in text.splitlines() if line.startswith("![")]
+    assert len(linked) >= 6
+    for name in linked:
+        assert (run / name).read_bytes().startswith(b"\x89PNG")
+        assert "<svg" in (run / name).with_suffix(".svg").read_text()
+    for row in out["summary"]:
+        assert f"| {row['gamma']} |" in text
+        assert f"{row['eval_return']:.1f} [" in text
+    assert main(["sweep", "q-learning", "--seeds", "1", "--gamma", "0.9", "0.99", *SHORT, "--out", "one"]) == 0
+    assert main(["report", "one"]) == 0
+    text = Path("one/report.md").read_text()
+    assert "One seed ranks no settings" in text
+    assert "[" not in text.split("## Settings")[1].split("solved:")[0].replace("![", "")
+
+
 def test_float64_switched_on_changes_no_bit():
     words = [sys.executable, "-m", "jaxq", "sweep", "dqn", "--hidden", "8", "--max-env-steps", "1500", "--seeds", "2"]
     rows = []
@@ -137,8 +189,10 @@ def test_a_finished_train_that_is_resumed_prints_the_same_again(capsys):
     assert main([*words, "--resume"]) == 0
     assert capsys.readouterr().out == first
     Path("one/policies/00000.safetensors").write_bytes(b"nothing")
-    assert main([*words, "--resume"]) == 2
-    assert "00000.safetensors: is damaged" in capsys.readouterr().err
+    assert main([*words, "--resume"]) == 0
+    again = capsys.readouterr()
+    assert "00000.safetensors: is damaged" in again.err
+    assert again.out == first
 
 
 def test_the_lines_of_a_train_come_while_it_runs():
@@ -172,7 +226,7 @@ def test_a_sweep_of_dqn_over_numbers_and_structures(capsys):
 
 
 def test_who_does_not_look_for_success_reports_no_share_of_it(capsys):
-    status, out = sweep_json(capsys, "article-dqn", *TINY, "--success-window", "0", "50", "--seeds", "2")
+    status, out = sweep_json(capsys, "article-dqn", *TINY, "--stop", "none", "window", "--seeds", "2")
     assert status == 0
     without, looking = out["summary"]
     assert (without["solved"], without["solved_low"], without["solved_high"]) == (None, None, None)
@@ -239,6 +293,27 @@ def test_a_setting_whose_lanes_all_diverge_is_exit_1_and_said(capsys):
         (["sweep", "article-q", "--bootstrap-terminal", "maybe"], "true or false"),
         (["sweep", "article-dqn", "--hidden", ""], "hidden"),
         (["bench", "env", "--cases", "7"], "65536"),
+        (["sweep", "dqn", "--learning-rate", "1e-3:1e-4"], "min 0.001 must be below max 0.0001"),
+        (["sweep", "dqn", "--learning-rate", "1e-4:1e-3:lg"], "did you mean 'log'"),
+        (["sweep", "dqn", "--learning-rate", "1e-4:1e-3", "0.5"], "1e-4:1e-3 is not allowed beside other values"),
+        (["sweep", "dqn", "--learning-rate", "1e-4:1e-3", "--method", "grid"], "a range needs the method random or"),
+        (["sweep", "dqn", "--batch-size", "16.5:64"], "batch_size: 16.5 is not allowed: a whole number"),
+        (["sweep", "dqn", "--method", "sobl"], "did you mean 'sobol'"),
+        (["sweep", "dqn", "--samples", "4"], "samples: 4 is not allowed with the method grid"),
+        (["sweep", "dqn", "--halving", "3"], "halving: 3 is not allowed: at most as many as there are settings, 1"),
+        (["sweep", "dqn", "--keep", "0"], "--keep: 0"),
+        (["sweep", "dqn", "--allow-mismatch"], "--allow-mismatch goes with --resume"),
+        (["sweep", "dqn", "--env", "CartPol-v1"], "did you mean 'CartPole-v1'"),
+        (["sweep", "dqn", "--env.lenth", "0.5"], "did you mean '--env.length'"),
+        (["sweep", "dqn", "--env.length", "-1"], "env.length: -1 is not allowed"),
+        (["sweep", "none.toml"], "none.toml: No such file"),
+        (["report", "nowhere"], "nowhere: holds no run"),
+        (["report"], "DIR"),
+        (["evaluate", "nowhere"], "nowhere: holds no run"),
+        (["evaluate", "nowhere", "--env", "gymnasim"], "did you mean 'gymnasium'"),
+        (["evaluate", "nowhere", "--episodes", "0"], "--episodes: 0"),
+        (["train", "--from", "nowhere", "--config", "0", "--seed", "0"], "nowhere: holds no run"),
+        (["train", "--from", "nowhere", "--config", "0"], "--seed"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_2_and_leaves_nothing(words, said, capsys):
@@ -256,9 +331,11 @@ def test_dry_run_says_what_would_run_and_runs_nothing(capsys):
     assert "4 settings x 10 seeds = 40 lanes" in out
     assert "2 programs" in out
     assert main(["sweep", "article-dqn", "--seeds", "1", "--hidden", "none", "--dry-run"]) == 0
-    assert capsys.readouterr().out == "1 setting x 1 seed = 1 lane\n1 program\n"
+    assert capsys.readouterr().out.startswith("1 setting x 1 seed = 1 lane\n1 program\nabout ")
     assert main(["sweep", "article-dqn", "--seeds", "3", "--dry-run", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"settings": 1, "seeds": 3, "lanes": 3, "programs": 1}
+    told = json.loads(capsys.readouterr().out)
+    assert told.pop("memory_bytes") > 100_000_000
+    assert told == {"settings": 1, "seeds": 3, "lanes": 3, "programs": 1}
     assert not list(Path().iterdir())
 
 
@@ -304,7 +381,7 @@ def test_two_processes_do_not_share_a_directory(capsys):
 
     with RunDirectory.open(Path("run"), plan("article-q")):
         assert main(["sweep", "article-q", "--out", "run", "--resume"]) == 75
-    assert "another process" in capsys.readouterr().err
+    assert f"process {os.getpid()} is writing to it" in capsys.readouterr().err
 
 
 def test_importing_rows_needs_no_jaxq(swept):
@@ -343,7 +420,7 @@ def test_sigterm_keeps_what_ended_as_ctrl_c_does():
 
 
 def test_the_greedy_return_is_of_whole_episodes_however_long(capsys):
-    _, out = sweep_json(capsys, "q-learning", "--max-steps", "700", "--seeds", "4", "--success-steps", "600")
+    _, out = sweep_json(capsys, "q-learning", "--env.max-episode-steps", "700", "--seeds", "4", "--success-steps", "600")
     assert max(row["eval_return"] for row in out["lanes"]) > 500
 
 
