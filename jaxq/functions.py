@@ -12,7 +12,7 @@ from __future__ import annotations
 import keyword
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Optional
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -98,7 +98,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _plain(one) for name, one in value.items()}
     if isinstance(value, (list, tuple)):
-        return type(value)(_plain(one) for one in value)
+        plain = map(_plain, value)
+        return list(plain) if isinstance(value, list) else tuple(plain)
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -134,7 +135,8 @@ def _annotation(name: str, values: list[Any]) -> Any:
         kinds -= {int}
     if len(kinds - {type(None)}) > 1:
         raise ValueError(f"{name}: {', '.join(map(str, values))} are not of one kind")
-    return Optional[next(iter(kinds - {type(None)}), None)] if type(None) in kinds else next(iter(kinds), None)
+    kind = next(iter(kinds - {type(None)}), type(None))
+    return kind | None if type(None) in kinds else kind
 
 
 @programs.hypers.register
