@@ -106,7 +106,7 @@ def _plain(value: Any) -> Any:
 def _kind(fn: Callable[..., Any], width: int, values: Mapping[str, Any], settings: Any) -> type[FunctionSettings]:
     """A record with a field per value; its defaults are the first values."""
     several = {name: value if isinstance(value, list) else [value] for name, value in values.items()}
-    listed = [one for one in settings if isinstance(one, dict)] if isinstance(settings, list) else []
+    listed = [one for one in settings if isinstance(one, dict)] if isinstance(settings, (list, tuple)) else []
     for name in dict.fromkeys(name for one in listed for name in one):
         if not all(name in one for one in listed):
             raise ValueError(f"{name}: is not a value of every setting")
@@ -188,11 +188,8 @@ def _check_output(shapes: Any, values: Sequence[str]) -> None:
     for leaf in leaves:
         if not any(jnp.issubdtype(leaf.dtype, kind) for kind in (jnp.bool_, jnp.integer, jnp.floating)):
             raise ValueError(f"the function returns an array of {leaf.dtype}: real numbers or truth values are needed")
-    names = (
-        shapes
-        if isinstance(shapes, dict)
-        else getattr(shapes, "_fields", () if shapes is not leaves[0] else ("result",))
-    )
+    alone = ("result",) if shapes is leaves[0] else ()
+    names = shapes if isinstance(shapes, dict) else getattr(shapes, "_fields", alone)
     for name in names:
         if name in (*COLUMNS, *values):
             raise ValueError(f"{name}: is returned by the function, but a column of this name is there already")

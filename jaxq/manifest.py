@@ -63,11 +63,9 @@ def read(path: Path) -> Manifest:
 
 def _is_rung(decided: Any) -> bool:
     """Whether it is what halving decided."""
-    return (
-        isinstance(decided, dict)
-        and isinstance(decided.get("rung"), int)
-        and isinstance(decided.get("stopped"), list)
-        and all(isinstance(config, int) for config in decided["stopped"])
+    lists = [decided.get(name) for name in ("kept", "stopped")] if isinstance(decided, dict) else [None]
+    return all(isinstance(configs, list) and all(isinstance(c, int) for c in configs) for configs in lists) and (
+        isinstance(decided.get("rung"), int)
     )
 
 

@@ -22,8 +22,7 @@ class MemoryRun:
 
     def __init__(self) -> None:
         self._tables: dict[str, list[pa.Table]] = {}
-        self._policies: dict[tuple[int, int], Weights] = {}
-        self._about: dict[str, str] = {}
+        self._policies: dict[tuple[int, int], tuple[dict[str, np.ndarray], dict[str, str]]] = {}
         folder = tempfile.mkdtemp(prefix="jaxq-")
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)  # TemporaryDirectory would warn
         self.checkpoints = Checkpoints(Path(folder), "memory", say=lambda text: None)
@@ -35,8 +34,8 @@ class MemoryRun:
         """Adds a batch of lanes that ended."""
         for kind, table in tables.items():
             self._tables.setdefault(kind, []).append(table)
-        self._policies |= policies
-        self._about |= about
+        for lane, weights in policies.items():
+            self._policies[lane] = dict(weights), dict(about)
 
     def agree_width(self, config: int, width: int) -> None:
         """There is nothing to agree with."""
@@ -51,5 +50,4 @@ class MemoryRun:
 
     def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """A lane's final weights by name, and what describes them; both empty where it has none."""
-        found = self._policies.get((config, seed))
-        return (dict(found), self._about) if found is not None else ({}, {})
+        return self._policies.get((config, seed), ({}, {}))

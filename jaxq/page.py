@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxq import pictures, run_files, stats
+from jaxq import pictures, run_files, stats, summaries
 from jaxq.drawing import draw
 from jaxq.outcome import Outcome
 from jaxq.plans import shown
@@ -63,16 +63,27 @@ def _sections(outcome: Outcome, picture: Callable[..., str]) -> Iterator[str]:
     if any(row["solved"] is not None for row in summary):
         yield picture("survival", "survival", "unsolved seeds over environment steps")
     yield picture("spread", "spread", "spread of the seeds")
+    metric, name = _metric(outcome)
+    if metric != "eval_return":
+        yield picture("spread-steps", "spread", f"spread of the seeds: {name}", metric=metric)
     if varied:
         yield "## Hyperparameters\n"
         for i, axis in enumerate(varied):
-            yield picture(f"sensitivity-{i}", "sensitivity", f"greedy return by {axis}", axis=axis)
+            yield picture(f"sensitivity-{i}", "sensitivity", f"{name} by {axis}", axis=axis, metric=metric)
         pairs = list(itertools.combinations(varied, 2))
         for i, (x, y) in enumerate(pairs[:PAIRS]):
-            yield picture(f"pair-{i}", "heat_map", f"greedy return by {x} and {y}", x=x, y=y)
+            yield picture(f"pair-{i}", "heat_map", f"{name} by {x} and {y}", x=x, y=y, metric=metric)
         if len(pairs) > PAIRS:
             yield f"{PAIRS} of {len(pairs)} pairs; `Outcome.plot('heat_map', x=..., y=...)` draws any.\n"
     yield from _agent(outcome, picture)
+
+
+def _metric(outcome: Outcome) -> tuple[str, str]:
+    """What hyperparameters are judged by: the greedy return or, where most lanes are solved, how long that took."""
+    status = outcome.lanes["status"].to_pylist()
+    if 2 * status.count("solved") > len(status):
+        return "solved_at_step", "environment steps until solved"
+    return "eval_return", "greedy return"
 
 
 def _what_ran(outcome: Outcome, summary: list[Row]) -> Iterator[str]:
@@ -105,7 +116,7 @@ def _settings(summary: list[Row], varied: list[str], ranked: bool) -> Iterator[s
         "eval_return": 1,
         "area_under_curve": 1,
     }
-    rows = sorted(summary, key=_score) if ranked else summary
+    rows = summaries.ranked(summary) if ranked else summary
     table = [
         {"setting": row["config"]}
         | {name: shown(row[name]) for name in varied}
@@ -130,7 +141,7 @@ def _settings(summary: list[Row], varied: list[str], ranked: bool) -> Iterator[s
 
 def _pairs(outcome: Outcome, summary: list[Row]) -> Iterator[str]:
     """The best setting against the next ones."""
-    ranked = [row["config"] for row in sorted(summary, key=_score) if row["eval_return"] is not None]
+    ranked = [row["config"] for row in summaries.ranked(summary) if row["eval_return"] is not None]
     if len(ranked) < 2:
         return
     config, seed, returns = (
@@ -182,10 +193,6 @@ def _agent(outcome: Outcome, picture: Callable[..., str]) -> Iterator[str]:
         ("overestimation", "the largest action value beside the return that followed"),
     ):
         yield picture(kind.replace("_", "-"), kind, title, config=config, seed=seed)
-
-
-def _score(row: Row) -> tuple[float, int]:
-    return (-np.inf if row["eval_return"] is None else -row["eval_return"], row["config"])
 
 
 def _table(rows: list[Row], names: list[str]) -> str:

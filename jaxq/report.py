@@ -12,7 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from jaxq import plans
+from jaxq import plans, summaries
 from jaxq.summaries import Row
 
 #: The characters of a table's lines, which a terminal may lack.
@@ -92,9 +92,7 @@ def _best_of(summary: Sequence[Row]) -> tuple[list[Row], bool]:
     """At most ``MOST`` rows, and whether some were left out."""
     if len(summary) <= MOST or "eval_return" not in summary[0]:
         return list(summary), False
-    worst = float("-inf")
-    ranked = sorted(summary, key=lambda row: worst if row["eval_return"] is None else row["eval_return"], reverse=True)
-    return ranked[:MOST], True
+    return summaries.ranked(summary)[:MOST], True
 
 
 def rows_table(rows: Sequence[Row], *, plain: bool = False) -> str:

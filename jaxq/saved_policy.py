@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from jaxq.presets import DQNSettings, TabularSettings
-from jaxq.programs import hypers
+from jaxq.programs import hypers, played
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,10 @@ class SavedPolicy:
         return row
 
 
-def describe(settings: Any, weights: Mapping[str, np.ndarray]) -> dict[str, Any] | None:
+def describe(settings: Any) -> dict[str, Any] | None:
     """What a setting's policies are; None for what is no table or network."""
     if isinstance(settings, TabularSettings):
-        rows = int(np.prod(settings.num_buckets))
-        discretised = settings.env.factory is None or len(weights["table"]) == rows
+        discretised = settings.env.factory is None or played(settings).world.num_states is None
         edges = [row.tolist() for row in hypers(settings).env[1]] if discretised else None
         return {"kind": "table", "edges": edges}
     if isinstance(settings, DQNSettings):
@@ -67,8 +66,8 @@ def describe(settings: Any, weights: Mapping[str, np.ndarray]) -> dict[str, Any]
 def described(settings: Sequence[Any], lanes: Mapping[tuple[int, int], Mapping[str, np.ndarray]]) -> dict[str, str]:
     """The metadata of a file of policies, by (setting, seed)."""
     about = {}
-    for (config, _), weights in lanes.items():
-        if str(config) not in about and (one := describe(settings[config], weights)) is not None:
+    for config, _ in lanes:
+        if str(config) not in about and (one := describe(settings[config])) is not None:
             about[str(config)] = one
     return {"policies": json.dumps(about)}
 

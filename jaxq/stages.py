@@ -106,11 +106,13 @@ class Sweep:
             self.store.checkpoints.drop(config, seed)
 
     def _alive(self, rung: Rung | None) -> np.ndarray:
-        """[settings] those that were not stopped at a rung before this one."""
+        """[settings] those that go to this rung: who was not stopped before it, nor is past it."""
         alive = np.ones(len(self.planned.settings), bool)
         for decided in self.store.manifest["rungs"]:
             if rung is None or decided["rung"] < rung.number:
                 alive[decided["stopped"]] = False
+            elif decided["rung"] == rung.number:
+                alive[decided["kept"]] = False  # they would stop on the way, where nothing is to be decided any more
         return alive
 
     def _advance(self, alive: np.ndarray, rung: Rung | None) -> bool:

@@ -60,7 +60,7 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def best(rows: Sequence[Row], metric: str = "eval_return") -> Row:
-    """The row of the setting whose ``metric`` is greatest, the first of equals.
+    """The row of the setting whose ``metric`` is greatest; of equals see ``ranked``.
 
     Raises ValueError where a setting has one seed, which ranks nothing, and where no setting has the metric.
     """
@@ -68,10 +68,27 @@ def best(rows: Sequence[Row], metric: str = "eval_return") -> Row:
         raise ValueError("seeds: one seed ranks no settings; train at least two")
     if not rows or metric not in rows[0]:
         raise ValueError(f"metric: {metric!r} is no column of the summary")
-    ranked = [row for row in rows if row[metric] is not None]
-    if not ranked:
+    first = ranked(rows, metric)[0]
+    if first[metric] is None:
         raise ValueError(f"metric: no setting has {metric}")
-    return max(ranked, key=lambda row: row[metric])
+    return first
+
+
+def ranked(rows: Sequence[Row], metric: str = "eval_return") -> list[Row]:
+    """The rows from the best to the worst by ``metric``; of equals, as where every middle half ends at 500, those of
+    greater mean come first, then those that were solved sooner, then those that come first.
+    """
+
+    def worth(row: Row) -> tuple[float, float, float, int]:
+        value, mean, steps = row[metric], row.get("eval_mean"), row.get("median_env_steps")
+        return (
+            np.inf if value is None else -value,
+            np.inf if mean is None else -mean,
+            np.inf if steps is None else steps,
+            row["config"],
+        )
+
+    return sorted(rows, key=worth)
 
 
 _READ = (

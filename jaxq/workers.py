@@ -43,7 +43,7 @@ class _Segment:
     clock: Any = None
     status: Any = None
     ended: list[int] = field(default_factory=list)  # or paused: their status is still RUNNING
-    due: list[int] = field(default_factory=list)  # lanes that go on and are to be evaluated
+    due: list[int] = field(default_factory=list)  # lanes that go on or pause, and are to be evaluated
     seeds: Any = None  # of all slots, and their numbers and policies, where a lane ended or is due
     hypers: Hypers | None = None
     policies: PyTree = None
@@ -164,11 +164,11 @@ class Worker:
             if lane is None or segment.status[i] != RUNNING:
                 continue
             at = lane.pause_at
+            if lane.eval_every and steps[i] // lane.eval_every > self.steps[i] // lane.eval_every:
+                segment.due.append(i)
             if at is not None and (steps[i] >= at.env_steps or episodes[i] >= at.episodes):
                 segment.ended.append(i)
                 segment.states[i] = row_of(i, self.state)
-            elif lane.eval_every and steps[i] // lane.eval_every > self.steps[i] // lane.eval_every:
-                segment.due.append(i)
         self.steps = np.array(steps)
 
     def _do_books(self) -> None:

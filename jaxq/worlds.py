@@ -101,13 +101,12 @@ def _written(function: Any) -> Any:
 
 
 def _own(make_env: Callable[..., Any]) -> World:
-    written, fields = _written(make_env), {}
+    written = _written(make_env)
+    fields: dict[str, Any] = {}
     for name, parameter in inspect.signature(make_env).parameters.items():
         default = parameter.default
         if default is parameter.empty or parameter.kind in (parameter.VAR_POSITIONAL, parameter.POSITIONAL_ONLY):
-            raise ValueError(
-                f"env: every parameter of {written.__name__} must have a name and a default, not {name!r}"
-            )
+            raise ValueError(f"env: every parameter of {written.__name__} must have a name and a default, not {name!r}")
         if name.startswith("_") or hasattr(World, name):
             raise ValueError(f"env: {name!r} is not allowed as a parameter of {written.__name__}: choose another name")
         traced = isinstance(default, (int, float)) and not isinstance(default, bool)

@@ -41,25 +41,27 @@ _programs, _built, _build = {}, {}, executables.build
 _each_segment = []
 
 
-def quickly(patch: pytest.MonkeyPatch) -> None:
-    """Compiles a structure once for all tests, writes batches of three lanes, and waits for no disk."""
+def program(settings, impl):
+    """The program of a structure, the same each time."""
+    return _programs.setdefault((settings.structural(), impl), programs.program(settings, impl))
 
-    def program(settings, impl):
-        return _programs.setdefault((settings.structural(), impl), programs.program(settings, impl))
 
-    def build(made, example, impl, cache=None):
-        if id(made) not in _built:
-            _built[id(made)] = counted(_build(made, example, impl))
-        return _built[id(made)]
+def build(made, example, impl, cache=None):
+    """Its executables, compiled once for all tests; who watches is told of each segment."""
+    if id(made) not in _built:
+        built = _build(made, example, impl)
 
-    def counted(built):
         def advance(*arguments):
             for told in _each_segment:
                 told()
             return built.advance(*arguments)
 
-        return replace(built, advance=advance)
+        _built[id(made)] = replace(built, advance=advance)
+    return _built[id(made)]
 
+
+def quickly(patch: pytest.MonkeyPatch) -> None:
+    """Compiles a structure once for all tests, writes batches of three lanes, and waits for no disk."""
     patch.setattr(stages, "program", program)
     patch.setattr(executables, "build", build)
     patch.setattr(batches, "BATCH_LANES", 3)

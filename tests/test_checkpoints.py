@@ -11,7 +11,7 @@ import safetensors.numpy
 
 import faults
 from faults import DAMAGES, Watched, assert_same
-from jaxq import executables, programs, run_files
+from jaxq import programs, run_files
 from jaxq import lanes as engine
 from jaxq.checkpoints import AtRung, Checkpoints
 from jaxq.tally import Lane
@@ -80,9 +80,8 @@ def test_a_lane_may_be_saved_and_stopped_after_each_of_its_segments(tmp_path, wh
 def saved_of(planned, segments):
     """The program of a plan, and what its first lane is after each of so many segments."""
     (settings,) = planned.settings
-    made, stop, saved = programs.program(settings, planned.prng), threading.Event(), []
-    numbers = programs.hypers(settings)
-    built = executables.build(made, numbers, planned.prng)
+    stop, saved, numbers = threading.Event(), [], programs.hypers(settings)
+    built = faults.build(faults.program(settings, planned.prng), numbers, planned.prng)
 
     def keep(one):
         saved.append(one)

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import AutoLocator, FuncFormatter
+from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from jaxq import stats
-from jaxq.pictures.columns import by_setting, metric_of, named
+from jaxq.pictures.columns import by_setting, metric_of
 from jaxq.pictures.dress import COLOR_MAP, COLORS, dress, with_legend
 
 #: Positive values that span more than this many times have a logarithmic scale.
@@ -26,13 +26,14 @@ FEW_SETTINGS = 40
 def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str = "eval_return") -> Figure:
     """The metric over one axis: a dot per setting, its interquartile mean over seeds (with its 95 % interval where
     there are few), and a line, the interquartile mean of all lanes with that value, or of an eighth of them where
-    values are many. Diverged lanes count as the worst.
+    values are many. Diverged lanes count as the worst, unsolved ones as the longest.
     """
-    metric, values, diverged = metric_of(lanes, metric)
+    chosen = metric_of(lanes, metric)
+    values = chosen.values
     groups = by_setting(lanes)
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes: Any = figure.subplots()
-    dress(axes, f"{named(metric)} by {axis}", axis, f"{named(metric)}, interquartile mean")
+    dress(axes, f"{chosen.name} by {axis}", axis, f"{chosen.name}, interquartile mean")
     column = lanes[axis].to_pylist()
     places, ticks = _places(column)
     handles, labels = [], []
@@ -57,17 +58,19 @@ def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str =
         labels.append(f"all lanes {'of an eighth of the values' if binned else 'with this value'}")
         labels[-1] += ", 95 % interval" if several else ""
     _scale(axes, places, ticks)
-    return with_legend(figure, handles, labels, _note(diverged, len(values)))
+    return with_legend(figure, handles, labels, chosen.note)
 
 
 def heat_map(lanes: pa.Table, x: str, y: str, metric: str = "eval_return") -> Figure:
     """The metric over a pair of axes: a cell per pair of values, the interquartile mean of all its lanes, with its
-    number where cells are few; or a dot per setting where values are many. Diverged lanes count as the worst.
+    number where cells are few; or a dot per setting where values are many. Diverged lanes count as the worst, unsolved
+    ones as the longest.
     """
-    metric, values, diverged = metric_of(lanes, metric)
+    chosen = metric_of(lanes, metric)
+    values = chosen.values
     figure = Figure(figsize=(7, 5), layout="constrained")
     axes: Any = figure.subplots()
-    dress(axes, f"{named(metric)} by {x} and {y}", x, y)
+    dress(axes, f"{chosen.name} by {x} and {y}", x, y)
     axes.grid(visible=False)
     across, columns = _ranks(lanes[x].to_pylist())
     up, rows = _ranks(lanes[y].to_pylist())
@@ -75,8 +78,8 @@ def heat_map(lanes: pa.Table, x: str, y: str, metric: str = "eval_return") -> Fi
         shown = _cells(axes, across, up, values, columns, rows)
     else:
         shown = _dots(axes, lanes, x, y, values)
-    figure.colorbar(shown, ax=axes, label=f"{named(metric)}, interquartile mean")
-    return with_legend(figure, [], [], _note(diverged, len(values)))
+    figure.colorbar(shown, ax=axes, label=f"{chosen.name}, interquartile mean")
+    return with_legend(figure, [], [], chosen.note)
 
 
 def _cells(
@@ -163,30 +166,34 @@ def _scale(axes: Axes, places: np.ndarray, ticks: list[str] | None) -> None:
     if ticks is not None:
         _label(axes.xaxis, ticks)
         axes.set_xlim(-0.5, len(ticks) - 0.5)
-    elif _is_wide(places):
-        axes.set_xscale("log")
     else:
-        _plain(axes.xaxis)
+        _plain(axes, axes.xaxis, places)
 
 
 def _scale_up(axes: Axes, places: np.ndarray, ticks: list[str] | None) -> None:
     if ticks is not None:
         _label(axes.yaxis, ticks)
         axes.set_ylim(-0.5, len(ticks) - 0.5)
-    elif _is_wide(places):
-        axes.set_yscale("log")
     else:
-        _plain(axes.yaxis)
+        _plain(axes, axes.yaxis, places)
 
 
 def _is_wide(places: np.ndarray) -> bool:
     return bool(places.min() > 0 and places.max() > WIDE * places.min())
 
 
-def _plain(axis: Any) -> None:
-    """Ticks as the numbers of a hyperparameter are written: 0.99, not 990m."""
-    axis.set_major_locator(AutoLocator())
+def _plain(axes: Axes, axis: Any, places: np.ndarray) -> None:
+    """A scale and ticks for a hyperparameter's numbers, written as they are: 0.99, not 990m."""
+    wide = _is_wide(places)
+    distinct = np.unique(places)
+    if wide:
+        (axes.set_xscale if axis.axis_name == "x" else axes.set_yscale)("log")
+    if wide and len(distinct) <= FEW_VALUES:
+        axis.set_major_locator(FixedLocator(distinct.tolist()))
+    else:
+        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)) if wide else AutoLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def _label(axis: Any, names: list[str]) -> None:
@@ -195,7 +202,3 @@ def _label(axis: Any, names: list[str]) -> None:
     at = list(range(0, len(names), every))
     turn = axis.axis_name == "x" and max(len(names[i]) for i in at) * len(at) > 60
     axis.set_ticks(at, [names[i] for i in at], **({"rotation": 45, "ha": "right"} if turn else {}))
-
-
-def _note(diverged: int, lanes: int) -> str:
-    return f"{diverged} of {lanes} lanes diverged and count as the worst" if diverged else ""

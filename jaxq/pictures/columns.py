@@ -1,6 +1,8 @@
-"""Columns of tables as arrays, and rows by setting."""
+"""Columns of tables as arrays, rows by setting, and the metric that a picture is about."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
@@ -24,23 +26,40 @@ def by_setting(table: pa.Table) -> dict[int, np.ndarray]:
     return dict(zip(settings.tolist(), np.split(order, begins[1:]), strict=True)) if len(order) else {}
 
 
-def metric_of(lanes: pa.Table, metric: str) -> tuple[str, np.ndarray, int]:
-    """The metric of each lane: its name, its values, and how many lanes diverged.
+@dataclass(frozen=True)
+class Metric:
+    """What settings are compared by: its name on an axis, a value per lane, and what was counted how."""
 
-    ``final_return`` stands in where no lane has ``metric``. A diverged lane has none, and counts as the worst there is:
-    0, or the least value where that is lower.
+    name: str
+    values: np.ndarray
+    more_is_better: bool
+    note: str
+
+
+def metric_of(lanes: pa.Table, metric: str) -> Metric:
+    """The metric of each lane: ``eval_return``, ``final_return``, ``area_under_curve`` or ``solved_at_step``.
+
+    ``final_return`` stands in where no lane has the one that is asked for. A lane without a return, as a diverged one,
+    counts as the worst there is, 0 or the least value where that is lower; one that was never solved as the longest.
     """
     values = numbers(lanes, metric)
+    if metric == "solved_at_step" and np.isfinite(values).any():
+        unsolved = ~np.isfinite(values)
+        longest = max(float(numbers(lanes, "env_steps").max()), float(values[~unsolved].max()))
+        count = int(unsolved.sum())
+        note = f"{count} of {len(values)} lanes were not solved and count as the longest" if count else ""
+        return Metric(NAMES[metric], np.where(unsolved, longest, values), False, note)
     if not np.isfinite(values).any():
         metric, values = "final_return", numbers(lanes, "final_return")
     missing = ~np.isfinite(values)
     worst = min(0.0, float(values[~missing].min())) if (~missing).any() else 0.0
-    return metric, np.where(missing, worst, values), int((words(lanes, "status") == "diverged").sum())
+    diverged = int((words(lanes, "status") == "diverged").sum())
+    note = f"{diverged} of {len(values)} lanes diverged and count as the worst" if diverged else ""
+    return Metric(NAMES.get(metric, metric.replace("_", " ")), np.where(missing, worst, values), True, note)
 
 
-NAMES = {"eval_return": "greedy return", "final_return": "training return"}
-
-
-def named(metric: str) -> str:
-    """What a metric is called on an axis."""
-    return NAMES.get(metric, metric.replace("_", " "))
+NAMES = {
+    "eval_return": "greedy return",
+    "final_return": "training return",
+    "solved_at_step": "environment steps until solved",
+}

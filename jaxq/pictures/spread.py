@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxq import stats
-from jaxq.pictures.columns import by_setting, metric_of, named
+from jaxq.pictures.columns import by_setting, metric_of
 from jaxq.pictures.dress import COLORS, dress, nothing, with_legend, wrapped
 
 #: Up to so many settings have a row each; more are drawn by their rank.
@@ -23,19 +23,19 @@ def spread(lanes: pa.Table, labels: Mapping[int, str], metric: str = "eval_retur
     interval, the best on top; of more the interquartile mean, the quartiles and the range of the seeds by rank.
     Diverged lanes count as the worst. Settings of one seed are in the order of the sweep: one seed ranks nothing.
     """
-    metric, values, diverged = metric_of(lanes, metric)
+    chosen = metric_of(lanes, metric)
+    values, sign = chosen.values, -1 if chosen.more_is_better else 1
     groups = by_setting(lanes)
     if not groups:
         figure = Figure(figsize=(7, 3), layout="constrained")
         return nothing(figure, "no lanes", figure.subplots())
     estimates = {c: stats.interquartile_mean(values[rows].tolist()) for c, rows in groups.items()}
     ranked = all(len(rows) > 1 for rows in groups.values())
-    order = sorted(groups, key=lambda c: (-(estimates[c].value or 0.0), c)) if ranked else sorted(groups)
+    order = sorted(groups, key=lambda c: (sign * (estimates[c].value or 0.0), c)) if ranked else sorted(groups)
     notes = [] if ranked or len(groups) == 1 else ["one seed: in the order of the sweep, not by rank"]
-    if diverged:
-        notes.append(f"{diverged} of {len(values)} lanes diverged and count as the worst")
+    notes += [chosen.note] if chosen.note else []
     draw = _rows if len(groups) <= MOST_ROWS else _ranks
-    return draw(order, groups, values, estimates, labels, named(metric), "; ".join(notes), ranked)
+    return draw(order, groups, values, estimates, labels, chosen.name, "; ".join(notes), ranked)
 
 
 def _rows(
