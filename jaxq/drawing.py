@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import pyarrow as pa
@@ -28,9 +28,8 @@ class Swept(Trained, Protocol):
     def lanes(self) -> pa.Table:
         """A row per training that ended."""
 
-    @property
-    def curves(self) -> pa.Table:
-        """A row per training and segment."""
+    def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
+        """``lanes``, ``curves`` or ``episodes``, or some of its columns."""
 
     def label(self, config: int) -> str:
         """What tells a setting from the others."""
@@ -57,7 +56,8 @@ def labels(outcome: Swept) -> dict[int, str]:
 
 
 def _curves(outcome: Swept) -> Any:
-    return pictures.learning_curves(outcome.lanes, outcome.curves, labels(outcome))
+    curves = outcome.table("curves", ["train_return", "eval_return"])
+    return pictures.learning_curves(outcome.lanes, curves, labels(outcome))
 
 
 def _survival(outcome: Swept, clock: str = "env_steps") -> Any:

@@ -63,10 +63,10 @@ def read(path: Path) -> Manifest:
 
 def _is_rung(decided: Any) -> bool:
     """Whether it is what halving decided."""
-    lists = [decided.get(name) for name in ("kept", "stopped")] if isinstance(decided, dict) else [None]
-    return all(isinstance(configs, list) and all(isinstance(c, int) for c in configs) for configs in lists) and (
-        isinstance(decided.get("rung"), int)
-    )
+    if not isinstance(decided, dict) or not isinstance(decided.get("rung"), int):
+        return False
+    lists = [decided.get(name) for name in ("kept", "stopped")]
+    return all(isinstance(configs, list) and all(isinstance(one, int) for one in configs) for configs in lists)
 
 
 _MEND = "--resume --allow-mismatch makes another of the parts that are sound, --overwrite starts anew"
@@ -93,12 +93,10 @@ def agree(path: Path, found: Manifest, plan: Plan, allow: bool) -> None:
     if not differences:
         return
     said = "; ".join(f"{what} was {_short(was)}, is {_short(now)}" for _, what, was, now in differences)
-    spec_differs = any(kind == "spec" for kind, *_ in differences)
-    if not allow:
-        hint = "choose another --out" if spec_differs else "choose another --out, or go on with --allow-mismatch"
-        raise RunError(f"{path}: was made otherwise: {said}; {hint}")
-    if spec_differs and not _extends(found["spec"], wanted):
+    if any(kind == "spec" for kind, *_ in differences) and not _extends(found["spec"], wanted):
         raise RunError(f"{path}: was made for another sweep: {said}; choose another --out")
+    if not allow:
+        raise RunError(f"{path}: was made otherwise: {said}; choose another --out, or go on with --allow-mismatch")
     note(found, [(what, was, now) for _, what, was, now in differences])
     found.update(_machine() | {"spec": wanted, "spec_hash": plan.hash()})
 

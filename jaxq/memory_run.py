@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from jaxq.checkpoints import Checkpoints
 from jaxq.store import Weights
-from jaxq.tables import in_order
+from jaxq.tables import in_order, with_order
 
 
 class MemoryRun:
@@ -44,9 +44,12 @@ class MemoryRun:
         """Records what halving decided at a rung."""
         self.manifest["rungs"].append(dict(rung))
 
-    def table(self, kind: str) -> pa.Table | None:
-        """The rows of one table, ``lanes``, ``curves`` or ``episodes``; None without any."""
-        return in_order(pa.concat_tables(self._tables[kind])) if self._tables.get(kind) else None
+    def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table | None:
+        """The rows of one table, ``lanes``, ``curves`` or ``episodes``, or some of its columns; None without any."""
+        if not self._tables.get(kind):
+            return None
+        found = in_order(pa.concat_tables(self._tables[kind]))
+        return found if columns is None else found.select(with_order(kind, columns))
 
     def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """A lane's final weights by name, and what describes them; both empty where it has none."""

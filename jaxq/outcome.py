@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -75,28 +76,32 @@ class Outcome:
         """The mean return at which the environment counts as solved."""
         return self.spec.get("threshold")
 
+    def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
+        """``lanes``, ``curves`` or ``episodes``, or some of its columns, sorted by setting, seed and time."""
+        found = self.store.table(kind, columns)
+        schemas = {"lanes": pa.schema(tables.KEY), "curves": tables.CURVES, "episodes": tables.EPISODES}
+        return schemas[kind].empty_table() if found is None else found
+
     @cached_property
     def lanes(self) -> pa.Table:
         """A row per training that ended, sorted by setting and seed."""
-        found = self.store.table("lanes")
-        return found if found is not None else pa.schema(tables.KEY).empty_table()
+        return self.table("lanes")
 
     @property
     def curves(self) -> pa.Table:
         """A row per training and segment."""
-        found = self.store.table("curves")
-        return found if found is not None else tables.CURVES.empty_table()
+        return self.table("curves")
 
     @property
     def episodes(self) -> pa.Table:
         """A row per training episode, where they were kept."""
-        found = self.store.table("episodes")
-        return found if found is not None else tables.EPISODES.empty_table()
+        return self.table("episodes")
 
     @property
     def complete(self) -> bool:
         """Whether every training has a row."""
-        return len(self.lanes) >= len(self.spec["settings"]) * len(manifest.seeds_of(self.spec))
+        lanes = self.table("lanes", ["config", "seed"])
+        return len(lanes) >= len(self.spec["settings"]) * len(manifest.seeds_of(self.spec))
 
     @cached_property
     def _summary(self) -> list[Row]:
@@ -160,9 +165,11 @@ class StoredRun:
             if not file.is_file() or run_files.sha256(file.read_bytes()) != digest:
                 raise RunError(f"{file}: is damaged; the sweep's command with --resume runs its lanes again")
 
-    def table(self, kind: str) -> pa.Table | None:
-        """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``; None without any."""
-        return parts.read(self.path, kind)
+    def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table | None:
+        """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``, or some of its columns; None without
+        any.
+        """
+        return parts.read(self.path, kind, columns)
 
     def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """A lane's final weights by name, and what describes them; both empty where it has none."""

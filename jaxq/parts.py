@@ -6,7 +6,7 @@ A batch's ``lanes`` part, its commit, says in its metadata what else belongs to 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import safetensors.numpy
 
 from jaxq import run_files
 from jaxq.store import Weights
-from jaxq.tables import in_order
+from jaxq.tables import in_order, with_order
 
 _ABOUT = b"jaxq"
 
@@ -41,8 +41,9 @@ def policies_bytes(policies: Mapping[tuple[int, int], Weights], about: Mapping[s
     return safetensors.numpy.save(tensors, metadata=dict(about))
 
 
-def read(path: Path, kind: str) -> pa.Table | None:
-    """One table of a run directory, ``lanes``, ``curves`` or ``episodes``, sorted by setting, seed and time.
+def read(path: Path, kind: str, columns: Sequence[str] | None = None) -> pa.Table | None:
+    """One table of a run directory, ``lanes``, ``curves`` or ``episodes``, or some of its columns, sorted by setting,
+    seed and time.
 
     Only what was committed counts. None where there is no row.
     """
@@ -52,7 +53,8 @@ def read(path: Path, kind: str) -> pa.Table | None:
     ]
     if not files:
         return None
-    tables = [pq.read_table(file).replace_schema_metadata(None) for file in files]
+    wanted = None if columns is None else with_order(kind, columns)
+    tables = [pq.read_table(file, columns=wanted).replace_schema_metadata(None) for file in files]
     return in_order(pa.concat_tables(tables, promote_options="default"))
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import filelock
@@ -175,9 +175,11 @@ class RunDirectory:
         self.manifest["rungs"].append(dict(rung))
         self._write_manifest()
 
-    def table(self, kind: str) -> pa.Table | None:
-        """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``; None without any."""
-        return parts.read(self.path, kind)
+    def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table | None:
+        """The committed rows of one table, ``lanes``, ``curves`` or ``episodes``, or some of its columns; None without
+        any.
+        """
+        return parts.read(self.path, kind, columns)
 
     def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """A lane's final weights by name, and what describes them; both empty where it has none."""

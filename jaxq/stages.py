@@ -88,7 +88,7 @@ class Sweep:
         return Outcome(planned.spec(), self.store, self.timing)
 
     def _count_what_is_there(self) -> None:
-        lanes = self.store.table("lanes")
+        lanes = self.store.table("lanes", ["status"])
         if lanes is not None:
             configs, seeds = (lanes[name].to_numpy().tolist() for name in ("config", "seed"))
             for config, seed in zip(configs, seeds, strict=True):
@@ -236,7 +236,7 @@ class Sweep:
 
     def _decide(self, alive: np.ndarray, rung: Rung) -> dict[str, Any]:
         returns: dict[int, list[float | None]] = {int(config): [] for config in np.flatnonzero(alive)}
-        lanes = self.store.table("lanes")
+        lanes = self.store.table("lanes", ["eval_return"])
         if lanes is not None:
             for config, value in zip(lanes["config"].to_pylist(), lanes["eval_return"].to_pylist(), strict=True):
                 if config in returns:

@@ -264,7 +264,7 @@ def _bootstrap(statistic: Callable[..., np.ndarray], *samples: np.ndarray) -> tu
 def _resamples(sizes: tuple[int, ...]) -> Iterator[list[np.ndarray]]:
     """Indices [rows, n] of the resamples of samples of these sizes, each row sorted, RESAMPLES rows in all."""
     rng = np.random.default_rng(0)  # the same data give the same interval
-    batch = max(1, 4_000_000 // sum(sizes))
+    batch = max(1, 400_000 // sum(sizes))
     for start in range(0, RESAMPLES, batch):
         rows = min(batch, RESAMPLES - start)
         yield [np.sort(rng.integers(size, size=(rows, size))) for size in sizes]

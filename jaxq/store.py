@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,8 +21,8 @@ class Readable(Protocol):
     def manifest(self) -> dict[str, Any]:
         """What is said of the run; ``rungs`` is what halving decided."""
 
-    def table(self, kind: str) -> pa.Table | None:
-        """The rows of one table, ``lanes``, ``curves`` or ``episodes``; None without any."""
+    def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table | None:
+        """The rows of one table, ``lanes``, ``curves`` or ``episodes``, or some of its columns; None without any."""
 
     def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """A lane's final weights by name, and what describes them; both empty where it has none."""

@@ -61,7 +61,7 @@ def read(path: Path) -> dict[str, Any]:
     try:
         return _arguments(found)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise _named_after(path, error) from None
 
 
 def text(planned: Plan) -> str:
@@ -86,18 +86,18 @@ def text(planned: Plan) -> str:
         if (value := getattr(planned, name)) is not None:
             found[name] = value
     parameters: dict[str, Any] = {}
+    for name, axis in request.axes.items():  # first, and in their order, which is that of the settings
+        if isinstance(axis, Range):
+            _put(parameters, name, {"min": axis.min, "max": axis.max, "scale": axis.scale}, in_order=True)
+        else:
+            _put(parameters, name, {"values": [_plain(value) for value in axis]}, in_order=True)
     for name, value in request.fixed.items():
         if isinstance(value, World):
             if value.factory is not None:
                 raise ValueError(f"env: {value} is a function, which no file can hold")
             found["env"] = value.id
         else:
-            _put(parameters, name, _plain(value))
-    for name, axis in request.axes.items():
-        if isinstance(axis, Range):
-            _put(parameters, name, {"min": axis.min, "max": axis.max, "scale": axis.scale})
-        else:
-            _put(parameters, name, {"values": [_plain(value) for value in axis]})
+            _put(parameters, name, _plain(value), in_order=False)
     if request.listed:
         found["settings"] = [{name: _plain(value) for name, value in one.items()} for one in request.listed]
     return tomli_w.dumps(found | ({"parameters": parameters} if parameters else {}))
@@ -157,12 +157,13 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _put(table: dict[str, Any], name: str, value: Any) -> None:
-    """``env.length`` stands in a table of its own."""
-    *above, last = name.split(".", 1)
-    for part in above:
-        table = table.setdefault(part, {})
-    table[last] = value
+def _put(table: dict[str, Any], name: str, value: Any, in_order: bool) -> None:
+    """``env.length`` stands in a table ``env``; in quotation marks, where it would come before another axis there."""
+    above, _, inner = name.partition(".")
+    if not inner or (in_order and above in table and above != next(reversed(table))):
+        table[name] = value
+    else:
+        table.setdefault(above, {})[inner] = value
 
 
 def load(path: Path) -> Plan:
@@ -171,4 +172,9 @@ def load(path: Path) -> Plan:
     try:
         return plan(**asked)
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise _named_after(path, error) from None
+
+
+def _named_after(path: Path, error: Exception) -> ValueError:
+    """The error in one line, whatever words of the file it repeats."""
+    return ValueError(f"{path}: {' '.join(str(error).split())}")

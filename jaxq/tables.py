@@ -126,6 +126,12 @@ def episodes(results: Sequence[Result]) -> pa.Table:
     return pa.Table.from_arrays(columns, schema=EPISODES)
 
 
+def with_order(kind: str, columns: Sequence[str]) -> list[str]:
+    """The columns, with those that ``in_order`` sorts by."""
+    time = {"lanes": [], "curves": ["env_steps"], "episodes": ["episode"]}[kind]
+    return list(dict.fromkeys(["config", "seed", *time, *columns]))
+
+
 def in_order(table: pa.Table) -> pa.Table:
     """Sorted by setting and seed, and in the order of time within a lane."""
     time = [

@@ -68,11 +68,12 @@ def test_a_kill_at_any_write_loses_and_doubles_nothing(tmp_path, whole, name):
 def test_a_run_that_is_killed_again_and_again_gets_there(tmp_path, whole, name):
     planned, options = SWEEPS[name]
     rng = np.random.default_rng(len(name))
-    for path in (tmp_path / "first", tmp_path / "second"):
+    for workers in (1, 2):
+        path = tmp_path / str(workers)
         for life in itertools.count(1):
             with death(int(rng.integers(6, 30))):
                 try:
-                    Watched(path, planned, **options)
+                    Watched(path, planned, workers=workers, **options)
                 except faults.Killed:
                     continue
             break

@@ -29,7 +29,9 @@ def learning_curves(lanes: pa.Table, curves: pa.Table, labels: Mapping[int, str]
     final, ends, status = numbers(lanes, "final_return"), numbers(lanes, "env_steps"), words(lanes, "status")
     means = {c: float(np.nan_to_num(final[rows], posinf=0, neginf=0).mean()) for c, rows in groups.items()}
     shown = sorted(sorted(means, key=lambda c: (-means[c], c))[:MOST_SETTINGS])
-    picked = curves.filter(pa.compute.is_in(curves["config"], value_set=pa.array(shown, pa.int64())))
+    picked = curves
+    if len(shown) < len(groups):
+        picked = curves.filter(pa.compute.is_in(curves["config"], value_set=pa.array(shown, pa.int64())))
     evaluated = picked["eval_return"].drop_null() if len(picked) else []
     watched = len(evaluated) > sum(len(groups[c]) for c in shown)
     figure = Figure(figsize=(15 if watched else 11, 4), layout="constrained")
@@ -82,7 +84,9 @@ def learning_curves(lanes: pa.Table, curves: pa.Table, labels: Mapping[int, str]
 def _draw(axes: Axes, grid: np.ndarray, values: np.ndarray, look: dict[str, Any]) -> None:
     known = np.isfinite(values).any(axis=0)
     if known.any():
-        low, middle, high = np.nanpercentile(values[:, known], [25, 50, 75], axis=0)
+        # Column by column: of thousands of lanes a copy of all is much memory.
+        quartiles = [np.nanpercentile(column, [25, 50, 75]) for column in (values[:, i] for i in np.flatnonzero(known))]
+        low, middle, high = np.array(quartiles, float).T
         axes.plot(grid[known], middle, **look, **(marks(1) if known.sum() == 1 else {}))
         axes.fill_between(grid[known], low, high, color=look["color"], alpha=0.15, linewidth=0)
 
@@ -97,7 +101,7 @@ def _on_grid(seeds: np.ndarray, steps: np.ndarray, returns: np.ndarray, grid: np
     order = np.lexsort((steps, seeds))
     _, begins = np.unique(seeds[order], return_index=True)
     groups = np.split(order, begins[1:]) if len(order) else []
-    values = np.full((len(groups), len(grid)), np.nan)
+    values = np.full((len(groups), len(grid)), np.nan, np.float32)
     for i, rows in enumerate(groups):
         latest = np.searchsorted(steps[rows], grid, side="right") - 1
         values[i] = np.where(latest < 0, np.nan, returns[rows][latest])
