@@ -9,7 +9,7 @@ from typing import Any
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from jaxq.bench import solved
-from jaxq.plots import COLORS
+from jaxq.pictures.dress import COLORS
 
 #: What the left panels show of a seed.
 SECONDS = "seconds of a seed, its share where seeds run together"

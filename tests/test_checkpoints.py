@@ -4,15 +4,15 @@ import json
 import shutil
 import threading
 
+import faults
 import jax
 import numpy as np
 import pytest
 import safetensors.numpy
-
-import faults
 from faults import DAMAGES, Watched, assert_same
-from jaxq import programs, run_files
+
 from jaxq import lanes as engine
+from jaxq import programs, run_files
 from jaxq.checkpoints import AtRung, Checkpoints
 from jaxq.tally import Lane
 

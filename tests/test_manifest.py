@@ -3,10 +3,10 @@
 import json
 import shutil
 
-import pytest
-
 import faults
+import pytest
 from faults import Watched, assert_same, bits, contents, death
+
 from jaxq import manifest, run_files
 from jaxq.cli import main
 from jaxq.manifest import RunError
@@ -133,7 +133,7 @@ def test_a_manifest_of_another_version_is_left_alone(tmp_path, whole):
 def test_what_is_of_another_sweep_does_not_come_into_a_manifest_that_is_made_again(tmp_path, whole, killed, other):
     Watched(tmp_path / "other", other)
     path = shutil.copytree(killed, tmp_path / "run")
-    theirs = [file for file in (tmp_path / "other").glob("p*/*")]
+    theirs = list((tmp_path / "other").glob("p*/*"))
     foreign = set()
     for file in theirs:
         number = run_files.batch(file)

@@ -13,6 +13,7 @@ import pytest
 from benchmarks import beside
 from jaxq.bench import dqn, worker
 from jaxq.plans import plan
+from jaxq.presets import preset, settle
 
 PEERS = Path(__file__).parent.parent / "benchmarks" / "peers"
 WORKER = Path(__file__).parent.parent / "jaxq" / "bench" / "worker.py"
@@ -55,7 +56,7 @@ def test_peers_of_a_network_get_the_settings_that_ours_is_measured_at():
     assert {setting: len(all_) for setting, all_ in given.items()} == {"article": 5, "64-64": 3, "cleanrl": 3}
     for setting, all_ in given.items():
         ours = plan("article-dqn", **dqn.SETTINGS[setting]).settings[0]
-        assert all(type(ours)(**numbers) == ours for numbers in all_)
+        assert all(settle(preset("article-dqn"), **numbers) == ours for numbers in all_)
     arguments = worker.load(str(PEERS / "sb3_dqn.py")).as_ours(given["cleanrl"][0])
     assert arguments["target_update_interval"] == 50 * 10  # env steps, of updates
     assert arguments["policy_kwargs"] == {"net_arch": [120, 84]}

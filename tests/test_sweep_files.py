@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 import tomli_w
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from jaxq import functions, sweep_files
@@ -16,7 +16,7 @@ from jaxq.plans import plan
 
 #: Values of each name, and how a range of them is made, where there is one.
 NAMES = {
-    "gamma": st.floats(0, 1, allow_subnormal=False).filter(lambda value: not 0 < value < 1e-37),
+    "gamma": st.just(0.0) | st.floats(1e-6, 1),
     "learning_rate": st.floats(1e-30, 1e30),
     "learning_rate_end": st.none() | st.floats(1e-6, 1),
     "target_period": st.integers(1, 2_000_000_000),
@@ -73,7 +73,13 @@ def file(tmp_path_factory):
     return tmp_path_factory.mktemp("files") / "sweep.toml"
 
 
+#: Names of the environment between others: the order of the axes is that of the settings.
+MIXED = {"env.length": [0.25, 0.5], "gamma": [0.9, 0.99], "env.integrator": ["euler", "semi-implicit"]}
+
+
 @given(requests(), st.integers(2, 9), st.none() | st.integers(1, 3))
+@example({**MIXED, "tau": 0.5, "env.masspole": 0.2}, 2, None)
+@example({"env.masspole": 0.2, "tau": [0.5, 1.0], **MIXED}, 2, 1)
 @settings(max_examples=300, deadline=None)
 def test_what_is_written_reads_as_the_same_plan(file, values, halving, rungs):
     planned = plan("dqn", **values)

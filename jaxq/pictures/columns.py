@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,11 @@ def by_setting(table: pa.Table) -> dict[int, np.ndarray]:
     return dict(zip(settings.tolist(), np.split(order, begins[1:]), strict=True)) if len(order) else {}
 
 
+def can_rank(groups: Mapping[int, np.ndarray]) -> bool:
+    """Whether every setting has two seeds or more: one seed ranks nothing."""
+    return all(len(rows) > 1 for rows in groups.values())
+
+
 @dataclass(frozen=True)
 class Metric:
     """What settings are compared by: its name on an axis, a value per lane, and what was counted how."""
@@ -37,29 +43,35 @@ class Metric:
 
 
 def metric_of(lanes: pa.Table, metric: str) -> Metric:
-    """The metric of each lane: ``eval_return``, ``final_return``, ``area_under_curve`` or ``solved_at_step``.
+    """The metric of each lane: ``eval_return``, another column of returns, or a time to success.
 
-    ``final_return`` stands in where no lane has the one that is asked for. A lane without a return, as a diverged one,
-    counts as the worst there is, 0 or the least value where that is lower; one that was never solved as the longest.
+    Where no lane has the one that is asked for ``eval_return`` stands in, or ``final_return`` where none has that. A
+    lane that diverged or has no return counts as the worst there is, 0 or the least value where that is lower; one
+    that was never solved as the longest. Raises ValueError for no column.
     """
-    values = numbers(lanes, metric)
-    if metric == "solved_at_step" and np.isfinite(values).any():
-        unsolved = ~np.isfinite(values)
-        longest = max(float(numbers(lanes, "env_steps").max()), float(values[~unsolved].max()))
-        count = int(unsolved.sum())
-        note = f"{count} of {len(values)} lanes were not solved and count as the longest" if count else ""
-        return Metric(NAMES[metric], np.where(unsolved, longest, values), False, note)
-    if not np.isfinite(values).any():
-        metric, values = "final_return", numbers(lanes, "final_return")
+    if metric not in lanes.column_names:
+        raise ValueError(f"metric: {metric!r} is no column of the lanes")
+    columns = [name for name in dict.fromkeys((metric, "eval_return", "final_return")) if name in lanes.column_names]
+    name = next((one for one in columns if np.isfinite(numbers(lanes, one)).any()), columns[-1])
+    values, title = numbers(lanes, name), NAMES.get(name, name.replace("_", " "))
     missing = ~np.isfinite(values)
-    worst = min(0.0, float(values[~missing].min())) if (~missing).any() else 0.0
-    diverged = int((words(lanes, "status") == "diverged").sum())
-    note = f"{diverged} of {len(values)} lanes diverged and count as the worst" if diverged else ""
-    return Metric(NAMES.get(metric, metric.replace("_", " ")), np.where(missing, worst, values), True, note)
+    if name in CLOCKS:
+        longest = max(float(numbers(lanes, CLOCKS[name]).max()), float(values[~missing].max()))
+        note = f"{missing.sum()} of {len(values)} lanes were not solved and count as the longest" if missing.any() else ""
+        return Metric(title, np.where(missing, longest, values), False, note)
+    diverged = words(lanes, "status") == "diverged"
+    worst = min(0.0, float(values[~missing & ~diverged].min(initial=0.0)))
+    counts = {"diverged": int(diverged.sum()), f"have no {title}": int((missing & ~diverged).sum())}
+    told = ", ".join(f"{count} of {len(values)} lanes {what}" for what, count in counts.items() if count)
+    note = f"{told} and count as the worst" if told else ""
+    return Metric(title, np.where(missing | diverged, worst, values), True, note)
 
 
+#: The columns of times to success, and the clock that each is read from.
+CLOCKS = {"solved_at_step": "env_steps", "solved_at_episode": "episodes"}
 NAMES = {
     "eval_return": "greedy return",
     "final_return": "training return",
     "solved_at_step": "environment steps until solved",
+    "solved_at_episode": "episodes until solved",
 }

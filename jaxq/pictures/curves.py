@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from pyarrow import compute
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-from jaxq.pictures.columns import by_setting, numbers, words
+from jaxq.pictures.columns import by_setting, can_rank, numbers, words
 from jaxq.pictures.dress import COLORS, GRID, MOST_SETTINGS, dress, marks, nothing, with_legend
 
 #: The axes of a sweep are cut when the longest lane ran more than this many times as long as 98 of 100.
@@ -21,17 +22,22 @@ MUCH_LONGER = 1.5
 def learning_curves(lanes: pa.Table, curves: pa.Table, labels: Mapping[int, str]) -> Figure:
     """A sweep's picture: per setting the median training return with its quartiles, the same of greedy evaluations
     where there were some while training, and the share of solved lanes, over environment steps. A lane's curve begins
-    at its first point, and a lane that ended keeps its last return. At most eight settings, those of highest return.
-    When a few lanes ran much longer than the rest the axes end where 98 of 100 have ended, and the final share stands
-    at the edge where it is another. What is left out is said above the legend.
+    at its first point, and a lane that ended keeps its last return. At most eight settings, those of highest return,
+    or the first ones where a setting has one seed, which ranks nothing. When a few lanes ran much longer than the rest
+    the axes end where 98 of 100 have ended, and the final share stands at the edge where it is another. What is left
+    out is said above the legend.
     """
+    if not len(lanes):
+        figure = Figure(figsize=(11, 4), layout="constrained")
+        return nothing(figure, "no lanes", *figure.subplots(1, 2))
     groups = by_setting(lanes)
+    ranked = can_rank(groups)
     final, ends, status = numbers(lanes, "final_return"), numbers(lanes, "env_steps"), words(lanes, "status")
     means = {c: float(np.nan_to_num(final[rows], posinf=0, neginf=0).mean()) for c, rows in groups.items()}
-    shown = sorted(sorted(means, key=lambda c: (-means[c], c))[:MOST_SETTINGS])
+    shown = sorted(sorted(means, key=lambda c: (-means[c] if ranked else 0.0, c))[:MOST_SETTINGS])
     picked = curves
     if len(shown) < len(groups):
-        picked = curves.filter(pa.compute.is_in(curves["config"], value_set=pa.array(shown, pa.int64())))
+        picked = curves.filter(compute.is_in(curves["config"], value_set=pa.array(shown, pa.int64())))
     evaluated = picked["eval_return"].drop_null() if len(picked) else []
     watched = len(evaluated) > sum(len(groups[c]) for c in shown)
     figure = Figure(figsize=(15 if watched else 11, 4), layout="constrained")
@@ -43,8 +49,6 @@ def learning_curves(lanes: pa.Table, curves: pa.Table, labels: Mapping[int, str]
     for axes in middle:
         dress(axes, "return of greedy episodes", "environment steps", statistic)
     dress(right, "share of lanes solved", "environment steps", f"share of {of}")
-    if not shown:
-        return nothing(figure, "no lanes", left, right)
     of_shown = np.concatenate([groups[c] for c in shown])
     last = int(np.percentile(ends[of_shown], 98, method="inverted_cdf"))
     last = max(1, last if ends[of_shown].max() > MUCH_LONGER * last else int(ends[of_shown].max()))
@@ -77,7 +81,7 @@ def learning_curves(lanes: pa.Table, curves: pa.Table, labels: Mapping[int, str]
     for axes in (left, *middle, right):
         axes.set_xlim(-0.03 * last, 1.02 * last)
     _mark_rises(right, last, rises)
-    notes = _notes(ends[of_shown], status[of_shown], len(shown), len(groups), last, bool(rises))
+    notes = _notes(ends[of_shown], status[of_shown], len(shown), len(groups), last, bool(rises), ranked)
     return with_legend(figure, handles, [labels[c] for c in shown], notes)
 
 
@@ -108,11 +112,14 @@ def _on_grid(seeds: np.ndarray, steps: np.ndarray, returns: np.ndarray, grid: np
     return values
 
 
-def _notes(ends: np.ndarray, status: np.ndarray, shown: int, settings: int, last: int, rises: bool) -> str:
+def _notes(
+    ends: np.ndarray, status: np.ndarray, shown: int, settings: int, last: int, rises: bool, ranked: bool
+) -> str:
     """What the picture of a sweep does not show."""
     notes = []
     if settings > shown:
-        notes.append(f"{shown} of {settings} settings, those of highest return")
+        which = "those of highest return" if ranked else "the first: one seed ranks nothing"
+        notes.append(f"{shown} of {settings} settings, {which}")
     if (longest := ends.max()) > last:
         note = f"the axes end where {(ends <= last).sum()} of {len(ends)} lanes have ended; the longest ran "
         note += EngFormatter(places=1, sep="")(longest) + " steps"

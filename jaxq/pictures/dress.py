@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, MaxNLocator
+from matplotlib.ticker import AutoLocator, EngFormatter, MaxNLocator, ScalarFormatter
 
 from jaxq import run_files
 
@@ -22,6 +23,8 @@ MOST_SETTINGS = 8
 GRID = 200
 #: Fewer points than this are marked one by one.
 FEW = 30
+#: From here on numbers are written with k and M.
+LARGE = 10_000
 #: Okabe and Ito's colours for every kind of sight, with grey for their yellow, which is too pale for a line.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
 #: From low to high, for every kind of sight.
@@ -49,13 +52,21 @@ def figure_of(title: str, x: str, y: str) -> tuple[Figure, Axes]:
 
 
 def dress(axes: Axes, title: str, x: str, y: str) -> None:
-    axes.set_title(title)
+    grid: Any = axes.get_subplotspec()
+    axes.set_title(textwrap.fill(title, int(8 * axes.get_figure().get_figwidth() / grid.get_gridspec().ncols)))
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.25)
     axes.xaxis.set_major_locator(whole())
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 25k for 25000
+
+
+def measured(axis: Any, values: np.ndarray) -> None:
+    """Ticks for the values of a metric, which need not be whole: 0.5, 500, 25k."""
+    axis.set_major_locator(AutoLocator())
+    large = len(values) and np.abs(values).max() >= LARGE
+    axis.set_major_formatter(EngFormatter(sep="") if large else ScalarFormatter(useOffset=False))
 
 
 def whole() -> MaxNLocator:
@@ -72,10 +83,13 @@ def nothing(figure: Figure, text: str, *empty: Axes) -> Figure:
 
 
 def with_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str], note: str = "") -> Figure:
-    """One legend below all axes, in as many columns as fit, then with broken labels; the figure grows by its height."""
+    """One legend below all axes, in as many columns as fit, then with broken labels; the figure grows by its height.
+    The lines of the note, its title, are broken where they are longer than the figure is wide.
+    """
     if not labels and not note:
         return figure
     width, height = figure.get_size_inches()
+    note = "\n".join(textwrap.fill(line, int(14 * width)) for line in note.split("\n"))
     rows = range(1, max(1, len(labels)) + 1)
     tries = [(0, n) for n in rows] + [(letters, len(labels)) for letters in (140, 110, 80, 50)]
     for letters, n in tries:

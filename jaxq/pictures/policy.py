@@ -11,13 +11,14 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from jaxq.pictures.dress import COLOR_MAP, COLORS, nothing, with_legend
+from jaxq.pictures.dress import COLOR_MAP, COLORS, FEW, nothing, with_legend
 
 QValues = Callable[[np.ndarray], np.ndarray]
 #: Points of the plane along each side.
 SIDE = 161
 #: More points than this are drawn as a density.
 FEW_POINTS = 2000
+AT_REST, NOT_FINITE = "the cart at rest in the middle", "action values that are not finite"
 
 
 def action_values(q: QValues, angle: float, angular_velocity: float) -> Figure:
@@ -27,20 +28,23 @@ def action_values(q: QValues, angle: float, angular_velocity: float) -> Figure:
     values, extent = _plane(q, angle, angular_velocity)
     figure = Figure(figsize=(13, 4), layout="constrained")
     panels: Any = figure.subplots(1, 3, sharey=True)
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if not np.isfinite(values).all():
+        return nothing(figure, NOT_FINITE, *panels)
+    low, high = float(values.min()), float(values.max())
+    room = 0.0 if high > low else max(1e-3, 0.1 * abs(low))  # one value has one colour in both panels
     for a, name in enumerate(("left", "right")):
-        look = {"cmap": COLOR_MAP, "vmin": low, "vmax": high}
+        look = {"cmap": COLOR_MAP, "vmin": low - room, "vmax": high + room}
         shown = _image(panels[a], values[..., a], extent, look, f"value of a push to the {name}")
     figure.colorbar(shown, ax=panels[:2], label="action value")
     difference = values[..., 1] - values[..., 0]
-    most = float(np.nanmax(np.abs(difference))) or 1.0
+    most = float(np.abs(difference).max()) or 1.0
     look = {"cmap": "PuOr", "vmin": -most, "vmax": most}
     shown = _image(panels[2], difference, extent, look, "right less left")
-    if np.nanmin(difference) < 0 < np.nanmax(difference):
+    if difference.min() < 0 < difference.max():
         panels[2].contour(difference, levels=[0], extent=extent, colors="black", linewidths=0.8)
     figure.colorbar(shown, ax=panels[2], label="difference")
     panels[0].set_ylabel("angular velocity [rad/s]")
-    return figure
+    return with_legend(figure, [], [], AT_REST)
 
 
 def greedy_map(q: QValues, angle: float, angular_velocity: float) -> Figure:
@@ -48,11 +52,13 @@ def greedy_map(q: QValues, angle: float, angular_velocity: float) -> Figure:
     values, extent = _plane(q, angle, angular_velocity)
     figure = Figure(figsize=(6, 4.5), layout="constrained")
     axes: Any = figure.subplots()
+    if not np.isfinite(values).all():
+        return nothing(figure, NOT_FINITE, axes)
     look = {"cmap": ListedColormap([COLORS[4], COLORS[5]]), "vmin": 0, "vmax": 1}
     _image(axes, values.argmax(axis=-1), extent, look, "the greedy action")
     axes.set_ylabel("angular velocity [rad/s]")
     handles = [axes.plot([], [], "s", color=COLORS[i], markersize=10)[0] for i in (4, 5)]
-    return with_legend(figure, handles, ["push left", "push right"], "the cart at rest in the middle")
+    return with_legend(figure, handles, ["push left", "push right"], AT_REST)
 
 
 def overestimation(predicted: np.ndarray, followed: np.ndarray) -> Figure:
@@ -78,12 +84,14 @@ def overestimation(predicted: np.ndarray, followed: np.ndarray) -> Figure:
         )
         figure.colorbar(shown, ax=axes, label="states")
     else:
-        axes.plot(followed, predicted, ".", color=COLORS[0], markersize=4, alpha=0.6)
+        size = 4 if len(predicted) > FEW else 9
+        axes.plot(followed, predicted, ".", color=COLORS[0], markersize=size, alpha=0.6)
     line = axes.plot(ends, ends, color="0.3", linestyle="--", linewidth=1)
     axes.set(xlim=ends, ylim=ends)
     bias = float((predicted - followed).mean())
     kind = "too high" if bias > 0 else "too low"
-    note = f"over {len(predicted)} states the values are {abs(bias):.3g} {kind} on average"
+    states = f"{len(predicted)} state" + "s" * (len(predicted) > 1)
+    note = f"over {states} the values are {f'{abs(bias):.3g} {kind}' if bias else 'right'} on average"
     return with_legend(figure, line, ["as promised"], note)
 
 

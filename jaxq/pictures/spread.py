@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxq import stats
-from jaxq.pictures.columns import by_setting, metric_of
-from jaxq.pictures.dress import COLORS, dress, nothing, with_legend, wrapped
+from jaxq.pictures.columns import by_setting, can_rank, metric_of
+from jaxq.pictures.dress import COLORS, dress, measured, nothing, with_legend, wrapped
 
 #: Up to so many settings have a row each; more are drawn by their rank.
 MOST_ROWS = 40
@@ -23,19 +23,23 @@ def spread(lanes: pa.Table, labels: Mapping[int, str], metric: str = "eval_retur
     interval, the best on top; of more the interquartile mean, the quartiles and the range of the seeds by rank.
     Diverged lanes count as the worst. Settings of one seed are in the order of the sweep: one seed ranks nothing.
     """
+    if not len(lanes):
+        figure = Figure(figsize=(7, 3), layout="constrained")
+        return nothing(figure, "no lanes", figure.subplots())
     chosen = metric_of(lanes, metric)
     values, sign = chosen.values, -1 if chosen.more_is_better else 1
     groups = by_setting(lanes)
-    if not groups:
-        figure = Figure(figsize=(7, 3), layout="constrained")
-        return nothing(figure, "no lanes", figure.subplots())
     estimates = {c: stats.interquartile_mean(values[rows].tolist()) for c, rows in groups.items()}
-    ranked = all(len(rows) > 1 for rows in groups.values())
+    ranked = can_rank(groups)
     order = sorted(groups, key=lambda c: (sign * (estimates[c].value or 0.0), c)) if ranked else sorted(groups)
     notes = [] if ranked or len(groups) == 1 else ["one seed: in the order of the sweep, not by rank"]
     notes += [chosen.note] if chosen.note else []
-    draw = _rows if len(groups) <= MOST_ROWS else _ranks
-    return draw(order, groups, values, estimates, labels, chosen.name, "; ".join(notes), ranked)
+    if len(groups) <= MOST_ROWS:
+        return _rows(order, groups, values, estimates, labels, chosen.name, "\n".join(notes))
+    if ranked:
+        ends = {"first": labels[order[0]], "last": labels[order[-1]]}
+        notes += [wrapped(f"{which}: {label}", 110) for which, label in ends.items()]
+    return _ranks(order, groups, values, estimates, chosen.name, "\n".join(notes), ranked)
 
 
 def _rows(
@@ -46,30 +50,29 @@ def _rows(
     labels: Mapping[int, str],
     name: str,
     note: str,
-    ranked: bool,
 ) -> Figure:
-    del ranked
     texts = [wrapped(labels[config], 60) for config in order]
     lines = sum(text.count("\n") + 1 for text in texts)
     figure = Figure(figsize=(9, 1.6 + 0.26 * lines), layout="constrained")
     axes: Any = figure.subplots()
     dress(axes, f"{name} of every seed", name, "")
+    measured(axes.xaxis, values)
     rng = np.random.default_rng(0)
     handles: list[Any] = []
     for row, config in enumerate(order):
         mine, estimate = values[groups[config]], estimates[config]
         height = row + rng.uniform(-0.2, 0.2, len(mine)) if len(mine) > 1 else [row]
-        dots = axes.plot(mine, height, ".", color="0.6", markersize=6 if len(mine) <= 64 else 3, alpha=0.8, zorder=2)
-        middle = axes.plot([estimate.value], [row], "o", color=COLORS[0], markersize=6, zorder=4)
-        if estimate.low is not None:
+        size = 9 if len(mine) == 1 else 6 if len(mine) <= 64 else 3
+        dots = axes.plot(mine, height, ".", color="0.6", markersize=size, alpha=0.8, zorder=2)
+        if len(mine) > 1:  # of one seed the value is all there is
+            middle = axes.plot([estimate.value], [row], "o", color=COLORS[0], markersize=6, zorder=4)
             axes.hlines(row, estimate.low, estimate.high, color=COLORS[0], linewidth=2, zorder=3)
-        handles = [*dots, *middle]
+            handles = middle
     axes.set_yticks(range(len(order)), texts, fontsize="small")
     axes.set_ylim(len(order) - 0.4, -0.6)
     _widen(axes, values)
-    several = any(estimate.low is not None for estimate in estimates.values())
-    names = ["a seed", "interquartile mean" + (", 95 % interval" if several else "")]
-    return with_legend(figure, handles, names, note)
+    names = ["a seed", "interquartile mean, 95 % interval"] if handles else ["a seed"]
+    return with_legend(figure, [*dots, *handles], names, note)
 
 
 def _ranks(
@@ -77,7 +80,6 @@ def _ranks(
     groups: dict[int, np.ndarray],
     values: np.ndarray,
     estimates: dict[int, stats.Estimate],
-    labels: Mapping[int, str],
     name: str,
     note: str,
     ranked: bool,
@@ -85,19 +87,18 @@ def _ranks(
     figure = Figure(figsize=(9, 4.5), layout="constrained")
     axes: Any = figure.subplots()
     dress(axes, f"{name} of {len(order)} settings", "rank of the setting" if ranked else "setting", name)
+    measured(axes.yaxis, values)
     x = np.arange(1, len(order) + 1)
     middle = np.array([estimates[config].value for config in order], float)
-    names, handles = ["interquartile mean"], []
+    names, handles = ["the setting's one seed"], []
     if any(len(rows) > 1 for rows in groups.values()):
         ends = np.array([np.percentile(values[groups[config]], [0, 25, 75, 100]) for config in order]).T
         handles.append(axes.fill_between(x, ends[0], ends[3], step="mid", color=COLORS[0], alpha=0.12, linewidth=0))
         handles.append(axes.fill_between(x, ends[1], ends[2], step="mid", color=COLORS[0], alpha=0.3, linewidth=0))
-        names = ["range of the seeds", "quartiles of the seeds", *names]
+        names = ["range of the seeds", "quartiles of the seeds", "interquartile mean"]
     handles += axes.plot(x, middle, ".", color=COLORS[0], markersize=3)
     axes.set_xlim(0, len(order) + 1)
-    if ranked:
-        note = "\n".join(filter(None, [note, f"first: {labels[order[0]]}", f"last: {labels[order[-1]]}"]))
-    return with_legend(figure, handles, names, wrapped(note, 120) if len(note) > 400 else note)
+    return with_legend(figure, handles, names, note)
 
 
 def _widen(axes: Axes, values: np.ndarray) -> None:

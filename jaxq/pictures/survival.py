@@ -7,31 +7,35 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from jaxq import stats
-from jaxq.pictures.columns import by_setting, numbers, words
+from jaxq.pictures.columns import CLOCKS, by_setting, can_rank, numbers, words
 from jaxq.pictures.dress import COLORS, MOST_SETTINGS, dress, nothing, with_legend
 from jaxq.summaries import time_to_success
 
 #: More bands than this are pale, since they lie on each other.
 MOST_SHADED = 4
-_CLOCKS = {"env_steps": "solved_at_step", "episodes": "solved_at_episode"}
+_SOLVED = {clock: name for name, clock in CLOCKS.items()}
 
 
 def survival(lanes: pa.Table, labels: Mapping[int, str], clock: str = "env_steps") -> Figure:
     """Kaplan-Meier curves: the share of seeds unsolved, with 95 % bands (log-log Greenwood) where a setting has two
-    seeds or more. At most eight settings have colours, those with the smallest area below their curve; the others are
-    grey. A tick marks a seed that was watched no longer. Raises ValueError for an unknown clock.
+    seeds or more. At most eight settings have colours, those with the smallest area below their curve, or the first
+    ones where a setting has one seed, which ranks nothing; the others are grey. A tick marks a seed that was watched no
+    longer. Raises ValueError for an unknown clock.
 
     Kaplan and Meier, *Nonparametric Estimation from Incomplete Observations*, 1958.
     """
-    if clock not in _CLOCKS:
-        raise ValueError(f"clock: {clock!r} is not one of {', '.join(_CLOCKS)}")
+    if clock not in _SOLVED:
+        raise ValueError(f"clock: {clock!r} is not one of {', '.join(_SOLVED)}")
     figure = Figure(figsize=(8, 4.2), layout="constrained")
     axes: Any = figure.subplots()
     name = clock.replace("env_steps", "environment steps")
     dress(axes, f"seeds not solved yet, over {name}", name, "share of seeds unsolved")
+    if not len(lanes):
+        return nothing(figure, "no lanes", axes)
     columns = ("solved_at_step", "solved_at_episode", "env_steps", "episodes", "max_env_steps", "max_episodes")
     data = {name: numbers(lanes, name) for name in columns} | {"status": words(lanes, "status")}
     stop = words(lanes, "stop")
@@ -39,17 +43,18 @@ def survival(lanes: pa.Table, labels: Mapping[int, str], clock: str = "env_steps
     for config, rows in by_setting(lanes).items():
         if stop[rows[0]] != "none":
             mine = {name: values[rows] for name, values in data.items()}
-            found[config] = time_to_success(mine, _CLOCKS[clock], clock, f"max_{clock}")
+            found[config] = time_to_success(mine, _SOLVED[clock], clock, f"max_{clock}")
     if not found:
         return nothing(figure, "no setting looks for success", axes)
     end = max(1.0, max(float(data[clock][rows].max()) for rows in by_setting(lanes).values()))
     curves = {config: stats.survival(times.tolist(), seen.tolist()) for config, (times, seen) in found.items()}
     areas = {config: _area(curve, end) for config, curve in curves.items()}
-    best = sorted(sorted(areas, key=lambda config: (areas[config], config))[:MOST_SETTINGS])
-    for config, curve in curves.items():
-        if config not in best:
-            axes.plot(*_steps(curve.times, curve.share, end), color="0.8", linewidth=0.6, zorder=1)
+    ranked = can_rank({config: times for config, (times, _) in found.items()})
+    best = sorted(sorted(areas, key=lambda config: (areas[config] if ranked else 0.0, config))[:MOST_SETTINGS])
+    others = [np.column_stack(_steps(one.times, one.share, end)) for config, one in curves.items() if config not in best]
+    axes.add_collection(LineCollection(others, colors="0.8", linewidths=0.6, zorder=1))
     handles: list[Any] = []
+    bands = ticks = False
     for i, config in enumerate(best):
         curve, (times, seen) = curves[config], found[config]
         look: dict[str, Any] = {"color": COLORS[i], "linestyle": (0, (4, 2)) if i % 2 else "-"}
@@ -60,15 +65,22 @@ def survival(lanes: pa.Table, labels: Mapping[int, str], clock: str = "env_steps
             until = x <= curve.times[int(np.argmin(curve.share))] if curve.share[-1] == 0 else np.ones(len(x), bool)
             shade = 0.15 if len(best) <= MOST_SHADED else 0.05
             axes.fill_between(x[until], low[until], high[until], color=COLORS[i], alpha=shade, linewidth=0, zorder=2)
-        watched = np.minimum(times[~seen], end)
+            bands = bands or bool(np.isfinite(low[until]).any())
+        watched = times[~seen & np.isfinite(times)]
         heights = y[np.searchsorted(x, watched, side="right") - 1]
         axes.plot(watched, heights, "|", color=COLORS[i], markersize=8, zorder=4)
+        ticks = ticks or len(watched) > 0
     axes.set_ylim(-0.03, 1.03)
     axes.set_xlim(-0.02 * end, 1.02 * end)
-    note = (
-        "" if len(best) == len(curves) else f"{len(best)} of {len(curves)} settings, the quickest; the others are grey"
-    )
-    return with_legend(figure, handles, [labels[config] for config in best], note)
+    signs = ["bands: 95 % intervals"] * bands + ["|: a seed watched no longer"] * ticks
+    notes = ["; ".join(signs)] if signs else []
+    if len(best) < len(curves):
+        which = "the quickest" if ranked else "the first, as one seed ranks nothing"
+        notes.insert(0, f"{len(best)} of {len(curves)} settings, {which}; the others are grey")
+    if never := sum(int(np.isinf(times).sum()) for times, _ in found.values()):
+        seeds = sum(len(times) for times, _ in found.values())
+        notes.append(f"{never} of {seeds} seeds ended otherwise, as by divergence, and count as never solved")
+    return with_legend(figure, handles, [labels[config] for config in best], "\n".join(notes))
 
 
 def _steps(times: np.ndarray, values: np.ndarray, end: float) -> tuple[np.ndarray, np.ndarray]:
