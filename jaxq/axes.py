@@ -7,11 +7,12 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal
 
 from jaxq.suggest import nearest
+
+if TYPE_CHECKING:
+    import numpy as np
 
 METHODS = ("grid", "random", "sobol", "list")
 #: Points of a random or quasi-random sweep that does not say how many.
@@ -94,6 +95,8 @@ def _value(axis: Axis, u: float) -> Any:
 
 def _unit_cube(method: str, dimensions: int, samples: int, seed: int) -> np.ndarray:
     """[samples, dimensions] numbers in [0, 1)."""
+    import numpy as np  # here: --help does not wait for it
+
     if dimensions == 0:
         return np.zeros((1, 0))
     if method == "random":

@@ -26,7 +26,8 @@ COMMANDS = {
     # 64 settings; a lane makes 2,000 updates, one per 4 steps once 1,000 transitions are stored.
     "dqn, 64 settings, 16 seeds": [
         *("dqn", "--seeds", "16", "--learning-rate", *RATES, "--gamma", "0.9", "0.95", "0.99", "0.995"),
-        *("--target-period", "50", "200", "--max-env-steps", "9000"),
+        *("--target-period", "50", "200", "--max-env-steps", "9000", "--tau", "1", "--epsilon-decay", "50000"),
+        *("--learning-rate-end", "5e-5", "--buffer-size", "10000", "--eval-episodes", "10"),
     ],
 }
 

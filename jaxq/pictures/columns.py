@@ -56,9 +56,9 @@ def metric_of(lanes: pa.Table, metric: str) -> Metric:
     values, title = numbers(lanes, name), NAMES.get(name, name.replace("_", " "))
     missing = ~np.isfinite(values)
     if name in CLOCKS:
-        longest = max(float(numbers(lanes, CLOCKS[name]).max()), float(values[~missing].max()))
-        note = f"{missing.sum()} of {len(values)} lanes were not solved and count as the longest" if missing.any() else ""
-        return Metric(title, np.where(missing, longest, values), False, note)
+        longest = max(float(numbers(lanes, CLOCKS[name]).max()), float(values[~missing].max(initial=0.0)))
+        told = f"{missing.sum()} of {len(values)} lanes were not solved and count as the longest"
+        return Metric(title, np.where(missing, longest, values), False, told if missing.any() else "")
     diverged = words(lanes, "status") == "diverged"
     worst = min(0.0, float(values[~missing & ~diverged].min(initial=0.0)))
     counts = {"diverged": int(diverged.sum()), f"have no {title}": int((missing & ~diverged).sum())}

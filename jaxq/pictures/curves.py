@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from pyarrow import compute
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
+from pyarrow import compute
 
 from jaxq.pictures.columns import by_setting, can_rank, numbers, words
 from jaxq.pictures.dress import COLORS, GRID, MOST_SETTINGS, dress, marks, nothing, with_legend

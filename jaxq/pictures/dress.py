@@ -7,12 +7,14 @@ import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.lines import Line2D
 from matplotlib.ticker import AutoLocator, EngFormatter, MaxNLocator, ScalarFormatter
 
 from jaxq import run_files
@@ -52,8 +54,8 @@ def figure_of(title: str, x: str, y: str) -> tuple[Figure, Axes]:
 
 
 def dress(axes: Axes, title: str, x: str, y: str) -> None:
-    grid: Any = axes.get_subplotspec()
-    axes.set_title(textwrap.fill(title, int(8 * axes.get_figure().get_figwidth() / grid.get_gridspec().ncols)))
+    figure, place = cast(Figure, axes.figure), cast(SubplotSpec, axes.get_subplotspec())
+    axes.set_title(textwrap.fill(title, int(8 * figure.get_figwidth() / place.get_gridspec().ncols)))
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.spines[["top", "right"]].set_visible(False)
@@ -111,6 +113,9 @@ def with_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]
             break
         if (letters, n) != tries[-1]:
             legend.remove()
+    for handle in legend.legend_handles:
+        if isinstance(handle, Line2D):  # the dot of one among thousands is small
+            handle.set_markersize(max(6.0, handle.get_markersize()))
     figure.set_figheight(height + box.height / figure.dpi)
     return figure
 

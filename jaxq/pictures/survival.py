@@ -51,8 +51,9 @@ def survival(lanes: pa.Table, labels: Mapping[int, str], clock: str = "env_steps
     areas = {config: _area(curve, end) for config, curve in curves.items()}
     ranked = can_rank({config: times for config, (times, _) in found.items()})
     best = sorted(sorted(areas, key=lambda config: (areas[config] if ranked else 0.0, config))[:MOST_SETTINGS])
-    others = [np.column_stack(_steps(one.times, one.share, end)) for config, one in curves.items() if config not in best]
-    axes.add_collection(LineCollection(others, colors="0.8", linewidths=0.6, zorder=1))
+    others = [curve for config, curve in curves.items() if config not in best]
+    grey = [np.column_stack(_steps(curve.times, curve.share, end)) for curve in others]
+    axes.add_collection(LineCollection(grey, colors="0.8", linewidths=0.6, zorder=1))
     handles: list[Any] = []
     bands = ticks = False
     for i, config in enumerate(best):
