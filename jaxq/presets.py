@@ -159,7 +159,7 @@ _PRESETS = (
         "dqn",
         "double DQN with the settings that benchmarks/tuning found",
         DQNSettings(
-            learning_rate=2e-3,
+            learning_rate=1.5e-3,
             learning_rate_end=1e-5,
             gamma=0.988,
             tau=0.0065,

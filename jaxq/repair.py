@@ -49,14 +49,16 @@ def settle(path: Path, held: Manifest, say: Say) -> None:
 
 def rebuild(path: Path, plan: Plan, held: Manifest, say: Say) -> None:
     """Fills a new manifest from the parts of a run whose own manifest is lost: batches that are as they were written,
-    of the same sweep, and whose every row is of a setting and seed of the plan. Others are put aside.
+    of the same sweep, and whose every lane is one of the plan's and in no other batch. Others are put aside.
     """
-    sweep = kin(plan.spec())
+    sweep, taken = kin(plan.spec()), set[tuple[int, int]]()
     for number in sorted(run_files.committed(path)):
         about = parts.commit(path, number)
-        if about and about["sweep"] == sweep and _belongs(path / run_files.lanes_part(number), plan):
+        lanes = _lanes(path / run_files.lanes_part(number), plan) if about and about["sweep"] == sweep else None
+        if about and lanes and not lanes & taken:
             _adopt(path, number, held)
             held["rungs"] = max(held["rungs"], about["rungs"], key=len)  # all that was decided when it was written
+            taken |= lanes
         else:
             quarantine(path, number)
             say(f"batch {number} of {path}: is damaged or of another sweep; put aside in {run_files.QUARANTINE}")
@@ -87,19 +89,17 @@ def put_aside(path: Path, file: Path) -> None:
     file.replace(target)
 
 
-def _belongs(part: Path, plan: Plan) -> bool:
-    """Whether every lane of a part is one of the plan's, with its hyperparameters."""
+def _lanes(part: Path, plan: Plan) -> set[tuple[int, int]] | None:
+    """The settings and seeds of a part; None where one is not the plan's, with its hyperparameters."""
     table: pa.Table = pq.read_table(part)
-    if not {"config", "seed"} <= set(table.column_names):
-        return False
     seeds, configs = set(plan.seeds), np.unique(table["config"].to_numpy())
     if len(configs) and (configs.min() < 0 or configs.max() >= len(plan.settings)):
-        return False
+        return None
     for row in table.to_pylist():
         wanted = plan.settings[row["config"]].flat()
         if row["seed"] not in seeds or any(_word(row.get(name)) != _word(value) for name, value in wanted.items()):
-            return False
-    return True
+            return None
+    return set(zip(table["config"].to_pylist(), table["seed"].to_pylist(), strict=True))
 
 
 def _word(value: object) -> str:

@@ -59,7 +59,7 @@ def test_a_kill_at_any_write_loses_and_doubles_nothing(tmp_path, whole, name):
                 assert len(done) > at
             else:
                 break
-        Watched(path, planned, **options)
+        assert Watched(path, planned, **options).said == []
         assert_same(path, whole[name])
         shutil.rmtree(path)
     assert at == len(done) > 40
@@ -166,12 +166,13 @@ def test_a_complete_run_that_is_resumed_runs_nothing_and_changes_no_byte(tmp_pat
 
 @pytest.mark.parametrize("k", [1, 3])
 def test_keep_saves_the_policies_of_the_best_lanes(tmp_path, whole, k):
-    planned = faults.tables(gamma=[0.9, 0.99], seeds=10)
+    planned = faults.tables(gamma=[0.9, 0.99], seeds=30)
     Watched(tmp_path / "all", planned)
     every, returns = policies(tmp_path / "all"), eval_returns(tmp_path / "all")
     for stop_in in (None, 1):  # at once, and in two lives
         path = tmp_path / str(stop_in)
         first = Watched(path, planned, keep=k, stop_in=stop_in)
+        assert first.outcome.complete == (stop_in is None)
         order = first.ran + Watched(path, planned, keep=k).ran
         assert sorted(order) == sorted(returns)
         expected, best = [], []

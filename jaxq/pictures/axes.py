@@ -24,6 +24,8 @@ FEW_VALUES, BINS, FEW_CELLS = 12, 8, 120
 FEW_SETTINGS = 40
 #: Each of a few values has a tick where they are further apart than this part of the axis.
 CLOSE = 0.08
+#: Letters in a line of a tick's name.
+LONGEST = 30
 
 
 def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str = "eval_return") -> Figure:
@@ -219,16 +221,24 @@ def _is_wide(places: np.ndarray) -> bool:
 def _label(axis: Any, names: list[str]) -> None:
     """Names as ticks, at most some twenty of them; long ones are broken, and turned where that is not enough."""
     at = list(range(0, len(names), -(-len(names) // 20)))
-    letters = max(8, 64 // len(at)) if axis.axis_name == "x" else 30
-    shown = [_broken(names[i], letters) for i in at]
-    turn = axis.axis_name == "x" and sum(max(map(len, name.split("\n"))) + 2 for name in shown) > 76
-    axis.set_ticks(at, shown, **({"rotation": 45, "ha": "right"} if turn else {}))
+    across = axis.axis_name == "x"
+    shown = [_broken(names[i], max(8, 64 // len(at)) if across else LONGEST) for i in at]
+    turn = across and sum(max(map(len, name.split("\n"))) + 2 for name in shown) > 76
+    if turn:
+        shown = [_broken(names[i], LONGEST) for i in at]
+    axis.set_ticks(at, shown, **({"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if turn else {}))
 
 
 def _broken(name: str, letters: int) -> str:
-    """Lines of at most so many letters where the name has an underscore, comma, point or dash to be broken at."""
+    """Lines of at most so many letters where the name has an underscore, comma, point or dash to be broken at; without
+    its middle where it is longer than two of the longest lines.
+    """
+    if len(name) > 2 * LONGEST:
+        name = f"{name[: LONGEST - 2]}...{name[2 - LONGEST :]}"
+    if len(name) <= letters:
+        return name
     lines = [""]
-    for piece in re.findall(r"[^_,.-]+[_,.-]*|[_,.-]+", name) if len(name) > letters else [name]:
+    for piece in re.findall(rf"[^_,.-]{{1,{LONGEST}}}[_,.-]*|[_,.-]+", name):
         if lines[-1] and len(lines[-1]) + len(piece) > letters:
             lines.append("")
         lines[-1] += piece
