@@ -48,7 +48,7 @@ class MemoryRun:
         """The rows of one table, ``lanes``, ``curves`` or ``episodes``, or some of its columns; None without any."""
         if not self._tables.get(kind):
             return None
-        found = in_order(pa.concat_tables(self._tables[kind]))
+        found = in_order(pa.concat_tables(self._tables[kind], promote_options="permissive"))
         return found if columns is None else found.select(with_order(kind, columns))
 
     def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -14,9 +14,9 @@ import pyarrow as pa
 
 from jaxq import manifest, parts, run_files, saved_policy, summaries, tables
 from jaxq.manifest import RunError
-from jaxq.plans import shown
 from jaxq.presets import preset, settle
 from jaxq.saved_policy import SavedPolicy
+from jaxq.settings import shown
 from jaxq.shared import Progress
 from jaxq.store import Readable
 from jaxq.summaries import Row

@@ -12,8 +12,8 @@ import numpy as np
 from jaxq import pictures, run_files, stats, summaries
 from jaxq.drawing import draw
 from jaxq.outcome import Outcome
-from jaxq.plans import shown
 from jaxq.presets import Training
+from jaxq.settings import shown
 from jaxq.summaries import Row
 
 #: Settings that the table of the report shows, and of these those that are compared in pairs with the best.

@@ -55,7 +55,7 @@ def read(path: Path, kind: str, columns: Sequence[str] | None = None) -> pa.Tabl
         return None
     wanted = None if columns is None else with_order(kind, columns)
     tables = [pq.read_table(file, columns=wanted).replace_schema_metadata(None) for file in files]
-    return in_order(pa.concat_tables(tables, promote_options="default"))
+    return in_order(pa.concat_tables(tables, promote_options="permissive"))
 
 
 def read_policy(path: Path, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:

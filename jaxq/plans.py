@@ -13,7 +13,7 @@ from jaxq import axes, worlds
 from jaxq.axes import METHODS, SAMPLES, Axis, Range
 from jaxq.families import FAMILIES
 from jaxq.presets import preset, settle
-from jaxq.settings import Settings
+from jaxq.settings import NO_LIMIT, Settings, shown
 from jaxq.suggest import nearest
 
 MAX_SEED = 2**32 - 1
@@ -133,7 +133,7 @@ def plan(
         plain = type(world)()
         own = {f"env.{name}": value for name, value in world if value != getattr(plain, name)}
         values = {"env": plain, **own, **values}
-    return make(
+    made = make(
         base.name,
         lambda **point: settle(base, **point),
         values,
@@ -146,6 +146,9 @@ def plan(
         halving=halving,
         rungs=rungs,
     )
+    if halving is not None and any(min(one.max_env_steps, one.max_episodes) >= NO_LIMIT for one in made.settings):
+        raise ValueError(f"halving: {halving} is not allowed without a limit, max_env_steps or max_episodes")
+    return made
 
 
 def make(
@@ -195,11 +198,6 @@ def make(
     return Plan(name, made, varied, tuple(range(seeds)), root_seed, prng, halving, rungs, request)
 
 
-def shown(value: Any) -> str:
-    """A value as people and the columns of a table have it: layer sizes as ``128,128``."""
-    return ",".join(map(str, value)) or "none" if isinstance(value, tuple) else str(value)
-
-
 def _whole(name: str, value: Any, low: int, high: int) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{name}: {value!r} is not allowed: an integer from {low} to {high}")
@@ -241,8 +239,7 @@ def _request(
     varying: dict[str, Axis] = {}
     for name, axis in given.items():
         if isinstance(axis, Range):
-            _in_range(name, axis, checked)
-            varying[name] = axis
+            varying[name] = _in_range(name, axis, checked)
             continue
         values = [checked(name, value) for value in axis]
         for i, j in _twice(values):
@@ -255,6 +252,8 @@ def _request(
     listed = []
     for one in settings or ():
         for name in one:
+            if name == "env":
+                raise ValueError("env: is the same for all settings; give it beside them")
             if name in given:
                 raise ValueError(f"{name}: stands beside the settings and in one of them")
         made = settled(**{**first, **one}).flat()
@@ -268,14 +267,18 @@ def _middle(axis: Range) -> Any:
     return axis.at(0.5)
 
 
-def _in_range(name: str, axis: Range, checked: Callable[[str, Any], Any]) -> None:
-    """Both ends must be allowed, and be numbers of the kind that the field holds."""
+def _in_range(name: str, axis: Range, checked: Callable[[str, Any], Any]) -> Range:
+    """The range in numbers of the kind that the field holds; both ends must be allowed."""
+    kinds = set()
     for end in (axis.min, axis.max):
         value = checked(name, end)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ValueError(f"{name}: a range is not allowed: give its values")
         if isinstance(value, int) and not isinstance(end, int):
             raise ValueError(f"{name}: {end} is not allowed: a whole number")
+        kinds.add(type(value))
+    # 0:1 of a real number is not the whole numbers 0 and 1.
+    return axis if kinds == {int} else Range(float(axis.min), float(axis.max), axis.scale)
 
 
 def _twice(values: Sequence[Any]) -> list[tuple[int, int]]:

@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 
 from jaxq import parts, run_files
 from jaxq.manifest import Manifest, kin
-from jaxq.plans import Plan, shown
+from jaxq.plans import Plan
+from jaxq.settings import shown
 
 Say = Callable[[str], None]
 

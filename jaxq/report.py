@@ -12,7 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from jaxq import plans, summaries
+from jaxq import settings, summaries
 from jaxq.summaries import Row
 
 #: The characters of a table's lines, which a terminal may lack.
@@ -43,7 +43,7 @@ def settings_table(summary: Sequence[Row], varied: Sequence[str], *, color: bool
     for heading in headings:
         table.add_column(heading, justify="right")
     for row in shown:
-        cells = [plans.shown(row[name]) for name in varied]  # as --json has them: rounded, two may look alike
+        cells = [settings.shown(row[name]) for name in varied]  # as --json has them: rounded, two may look alike
         cells += [str(row["seeds"]), *(_interval(row, *column) for column in columns.values())]
         table.add_row(*cells, *(str(row[name]) for name in headings[len(cells) :]))
     table.caption = (
@@ -101,7 +101,9 @@ def rows_table(rows: Sequence[Row], *, plain: bool = False) -> str:
     for name in rows[0]:
         table.add_column(name, justify="right")
     for row in rows:
-        table.add_row(*(f"{value:.6g}" if isinstance(value, float) else plans.shown(value) for value in row.values()))
+        table.add_row(
+            *(f"{value:.6g}" if isinstance(value, float) else settings.shown(value) for value in row.values())
+        )
     return _text(table)
 
 

@@ -94,6 +94,11 @@ class Settings(BaseModel):
         return self
 
 
+def shown(value: Any) -> str:
+    """A value as people and the columns of a table have it: layer sizes as ``128,128``."""
+    return ",".join(map(str, value)) or "none" if isinstance(value, tuple) else str(value)
+
+
 def changed(base: Settings, overrides: dict[str, Any], prefix: str = "") -> Any:
     """The settings with some fields replaced. Raises ValueError with the field, its value and what is allowed."""
     try:

@@ -26,7 +26,7 @@ def summary(lanes: pa.Table, varied: Sequence[str], threshold: float | None = No
     lanes are counted, take part in the shares and times, and have no return.
     """
     columns = {name: lanes[name] for name in lanes.column_names}
-    if "stop" not in columns:
+    if "stopped_at_rung" not in columns:  # of a function of the user's own
         return _of_outputs(lanes, varied)
     config = columns["config"].to_numpy()
     order = np.argsort(config, kind="stable")

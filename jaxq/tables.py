@@ -12,10 +12,9 @@ import numpy as np
 import pyarrow as pa
 
 from jaxq import stats
-from jaxq.plans import shown
 from jaxq.presets import Training
 from jaxq.saved_policy import flatten
-from jaxq.settings import Settings
+from jaxq.settings import Settings, shown
 from jaxq.tally import Curve, Result
 
 #: Finished training episodes that ``final_return`` averages.
@@ -88,14 +87,13 @@ def lanes(results: Sequence[Result], settings: Sequence[Settings], rung: int | N
 
 
 def _outputs(results: Sequence[Result], settings: Sequence[Settings]) -> pa.Table:
-    columns: dict[str, list[Any]] = {}
+    rows = []
     for result in results:
         key = {"config": result.lane.config, "seed": result.lane.seed}
         output = {name: _output(value) for name, value in flatten(result.policy, "result").items()}
-        row = {**key, **_columns(settings[result.lane.config]), "status": result.status, **output}
-        for name, value in row.items():
-            columns.setdefault(name, []).append(value)
-    return pa.table({name: pa.array(values) for name, values in columns.items()})
+        rows.append({**key, **_columns(settings[result.lane.config]), "status": result.status, **output})
+    names = dict.fromkeys(name for row in rows for name in row)  # structures may return other things
+    return pa.table({name: pa.array([row.get(name) for row in rows]) for name in names})
 
 
 def _output(value: np.ndarray) -> Any:

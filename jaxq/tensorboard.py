@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxq.plans import shown
+from jaxq.settings import shown
 from jaxq.tally import Result
 
 #: Columns of a lane's curve by their tags.

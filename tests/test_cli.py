@@ -420,7 +420,9 @@ def test_sigterm_keeps_what_ended_as_ctrl_c_does():
 
 
 def test_the_greedy_return_is_of_whole_episodes_however_long(capsys):
-    _, out = sweep_json(capsys, "q-learning", "--env.max-episode-steps", "700", "--seeds", "4", "--success-steps", "600")
+    _, out = sweep_json(
+        capsys, "q-learning", "--env.max-episode-steps", "700", "--seeds", "4", "--success-steps", "600"
+    )
     assert max(row["eval_return"] for row in out["lanes"]) > 500
 
 

@@ -165,8 +165,8 @@ def test_ctrl_c_in_a_sweep_keeps_what_ended(tmp_path):
 
     with RunDirectory.open(tmp_path / "run", planned) as directory:
         last = []
+        tell = sweeps.Listeners(result=interrupt, progress=lambda p: last.append(p.done))
         with pytest.raises(KeyboardInterrupt):
-            tell = sweeps.Listeners(result=interrupt, progress=lambda p: last.append(p.done))
             sweeps.run(planned, directory=directory, tell=tell)
         kept = directory.table("lanes").to_pylist()
     assert len(kept) == len({row["seed"] for row in kept}) == last[-1]

@@ -12,6 +12,7 @@ import pytest
 from faults import DAMAGES, Watched, assert_same, contents, death, full_disk, policies, rows
 
 from jaxq import run_files
+from jaxq.cli import main
 from jaxq.run_files import WriteError
 
 
@@ -208,3 +209,11 @@ def test_a_lane_that_blows_up_changes_no_other_by_a_bit(tmp_path):
     assert all(0 < row["diverged_at_step"] == row["env_steps"] < 1000 for row in lost)
     assert all(row["eval_return"] is None for row in lost)
     assert {row["diverged_at_step"] for row in without.lanes.to_pylist()} == {None}
+
+
+def test_a_sweep_of_which_nothing_is_left_is_a_failure(tmp_path, capsys):
+    words = "--learning-rate 1e30 --seeds 2 --hidden 8 --learning-starts 32 --batch-size 16 --buffer-size 200".split()
+    words += "--eval-episodes 3 --max-env-steps 1000".split()
+    assert main(["sweep", "dqn", *words, "--out", str(tmp_path / "run")]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "jaxq: error: every lane has diverged"
+    assert set(rows(tmp_path / "run")["lanes"]["status"].to_pylist()) == {"diverged"}

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from jaxq import halving, run_files, stages, sweeps
 from jaxq.plans import plan
+from jaxq.settings import NO_LIMIT
 
 
 @pytest.mark.parametrize(
@@ -91,11 +92,13 @@ def test_the_best_part_is_kept(scores, factor):
     assert all((scores[k], -k) > (scores[s], -s) for k in kept for s in stopped)
 
 
-def test_more_than_there_are_settings_is_refused():
+def test_what_halving_cannot_do_is_refused():
     with pytest.raises(ValueError, match="halving: 3 is not allowed: at most as many as there are settings, 2"):
         plan("dqn", gamma=[0.9, 0.99], halving=3)
     with pytest.raises(ValueError, match="halving: 1 is not allowed"):
         plan("dqn", gamma=[0.9, 0.99], halving=1)
+    with pytest.raises(ValueError, match="halving: 2 is not allowed without a limit, max_env_steps or max_episodes"):
+        plan("q-learning", gamma=[0.9, 0.99], halving=2, max_episodes=NO_LIMIT)
     with pytest.raises(ValueError, match="rungs: 1 is not allowed without halving"):
         plan("dqn", gamma=[0.9, 0.99], rungs=1)
 

@@ -200,7 +200,12 @@ def test_a_diverging_lane_is_reported_and_changes_no_other_by_a_bit():
     [
         (
             "q-learning",
-            {"gamma": [0.5, 0.9], "alpha_min": [0.0, 0.1], "angle_bound": [0.3, 0.42], "env.max_episode_steps": [9, 500]},
+            {
+                "gamma": [0.5, 0.9],
+                "alpha_min": [0.0, 0.1],
+                "angle_bound": [0.3, 0.42],
+                "env.max_episode_steps": [9, 500],
+            },
         ),
         ("article-dqn", {"learning_rate": [1e-4, 1e-2], "tau": [0.1, 1.0], "target_period": [1, 7], **NETWORK}),
     ],

@@ -43,6 +43,10 @@ def by_setting(lanes):
     return [iqm(returns(lanes, config=config)) for config in sorted(set(lanes["config"].to_pylist()))]
 
 
+def ends(lines):
+    return [segment[:, 1].tolist() for segment in lines.get_segments()]
+
+
 @pytest.mark.parametrize(("settings", "axis"), [(GRID, "gamma"), (GRID, "learning_rate"), (WORDS, "hidden")])
 def test_dots_are_settings_and_the_line_all_lanes_with_a_value(settings, axis):
     lanes = swept(settings, 5)
@@ -53,9 +57,12 @@ def test_dots_are_settings_and_the_line_all_lanes_with_a_value(settings, axis):
     pooled = [iqm(returns(lanes, **{axis: value})) for value in values]
     np.testing.assert_allclose(line.get_ydata(), [one.value for one in pooled])
     np.testing.assert_allclose(line.get_xdata(), range(3) if axis == "hidden" else values)
-    (intervals,) = (one for one in axes.collections if isinstance(one, LineCollection))
-    ends = [segment[:, 1].tolist() for segment in intervals.get_segments()]
-    np.testing.assert_allclose(ends, [[one.low, one.high] for one in by_setting(lanes)])
+    intervals, *of_names = (one for one in axes.collections if isinstance(one, LineCollection))
+    np.testing.assert_allclose(ends(intervals), [[one.low, one.high] for one in by_setting(lanes)])
+    if axis == "hidden":
+        assert line.get_linestyle() == "None"
+        np.testing.assert_allclose(ends(*of_names), [[one.low, one.high] for one in pooled])
+        return
     (band,) = (one for one in axes.collections if not isinstance(one, LineCollection))
     corners = {round(height, 6) for height in band.get_paths()[0].vertices[:, 1]}
     assert corners == {round(end, 6) for one in pooled for end in (one.low, one.high)}
@@ -125,6 +132,14 @@ def test_many_values_are_averaged_in_bins_of_equally_many_lanes():
     bins = [order[10 * i : 10 * (i + 1)] for i in range(8)]
     expected = [iqm([value for config in part for value in returns(lanes, config=config)]).value for part in bins]
     np.testing.assert_allclose(line.get_ydata(), expected)
+
+
+def test_names_are_never_averaged_together():
+    settings = product(name=[f"name {i}" for i in range(30)], x=[1, 2])
+    lanes = swept(settings, 3)
+    points = pictures.sensitivity(lanes, "name", ["name", "x"]).axes[0].lines[1]
+    expected = [iqm(returns(lanes, name=name)).value for name in sorted({row["name"] for row in settings})]
+    np.testing.assert_allclose(points.get_ydata(), expected)
 
 
 def test_the_lanes_of_one_value_are_in_one_bin():
@@ -221,7 +236,7 @@ def test_times_to_success_are_written_with_k():
     figure = drawn(pictures.heat_map(lanes, "gamma", "alpha", metric="solved_at_step"))
     assert {text.get_text() for text in figure.axes[0].texts} == {"12.3k"}
     figure = drawn(pictures.sensitivity(lanes, "gamma", ["gamma"], metric="solved_at_step"))
-    assert figure.axes[0].get_ylabel() == "environment steps until solved, interquartile mean"
+    assert figure.axes[0].get_ylabel() == "environment steps until solved,\ninterquartile mean"
 
 
 ODD = {

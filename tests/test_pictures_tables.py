@@ -146,7 +146,7 @@ def inside(figure):
     written = [text for axes in figure.axes for text in (axes.title, axes.xaxis.label, axes.yaxis.label, *axes.texts)]
     for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
         low, high = sorted(axis.get_view_interval())
-        pairs = zip(axis.get_majorticklocs(), axis.get_ticklabels(), strict=True)
+        pairs = zip(axis.get_majorticklocs(), axis.get_ticklabels(), strict=False)  # shared axes have no labels
         written += [label for place, label in pairs if low <= place <= high]
     boxes = [text.get_window_extent() for text in written if text.get_text() and text.get_visible()]
     boxes += [legend.get_window_extent() for legend in figure.legends]

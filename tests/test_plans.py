@@ -29,22 +29,22 @@ def settings_of(name, points):
 )
 def test_the_settings_are_the_points_of_the_axes(method, values):
     samples = None if method == "grid" else 12
-    planned = plan("dqn", method=method, samples=samples, root_seed=5, seeds=3, tau=0.5, **values)
+    planned = plan("article-dqn", method=method, samples=samples, root_seed=5, seeds=3, tau=0.5, **values)
     wanted = axes.points(values, method, samples or 0, seed=5)
-    assert planned.settings == settings_of("dqn", [{**point, "tau": 0.5} for point in wanted])
+    assert planned.settings == settings_of("article-dqn", [{**point, "tau": 0.5} for point in wanted])
     assert planned.lanes == 3 * len(wanted)
     assert planned.varied == tuple(values)
-    assert (planned.seeds, planned.root_seed, planned.prng) == ((0, 1, 2), 5, preset("dqn").prng)
+    assert (planned.seeds, planned.root_seed, planned.prng) == ((0, 1, 2), 5, preset("article-dqn").prng)
 
 
 def test_listed_settings_are_taken_as_they_stand():
     listed = [{"gamma": 0.9, "hidden": (8,)}, {"tau": 0.1}, {"env.length": 0.25, "gamma": "0.95"}, {}]
-    planned = plan("dqn", settings=listed, batch_size=64, method="list")
-    assert planned.settings == settings_of("dqn", [{**one, "batch_size": 64} for one in listed])
+    planned = plan("article-dqn", settings=listed, batch_size=64, method="list")
+    assert planned.settings == settings_of("article-dqn", [{**one, "batch_size": 64} for one in listed])
     assert planned.varied == ("gamma", "hidden", "tau", "env.length")
     assert planned.request.listed[2] == {"env.length": 0.25, "gamma": 0.95}
-    assert plan("dqn", settings=tuple(listed), batch_size=64) == planned
-    assert plan("dqn", settings=[{}]).settings == (preset("dqn").settings,)
+    assert plan("article-dqn", settings=tuple(listed), batch_size=64) == planned
+    assert plan("article-dqn", settings=[{}]).settings == (preset("article-dqn").settings,)
 
 
 @pytest.mark.parametrize(
@@ -58,41 +58,47 @@ def test_listed_settings_are_taken_as_they_stand():
     ],
 )
 def test_without_a_method_it_is_what_fits(values, method):
-    chosen = plan("dqn", **values)
+    chosen = plan("article-dqn", **values)
     assert chosen.request.method == method
-    assert chosen == plan("dqn", method=method, **values)
+    assert chosen == plan("article-dqn", method=method, **values)
 
 
 def test_a_range_without_a_number_of_samples_takes_the_usual_one():
-    assert plan("dqn", learning_rate=RATES).settings == plan("dqn", learning_rate=RATES, samples=SAMPLES).settings
-    assert len(plan("dqn", learning_rate=RATES).settings) == SAMPLES
+    assert (
+        plan("article-dqn", learning_rate=RATES).settings
+        == plan("article-dqn", learning_rate=RATES, samples=SAMPLES).settings
+    )
+    assert len(plan("article-dqn", learning_rate=RATES).settings) == SAMPLES
 
 
 def test_a_random_sweep_draws_from_lists_too_and_keeps_each_setting_once():
-    planned = plan("dqn", method="random", samples=50, gamma=GAMMAS, double=[False, True])
+    planned = plan("article-dqn", method="random", samples=50, gamma=GAMMAS, double=[False, True])
     assert len(planned.settings) == len(set(planned.settings)) == 4
 
 
 def test_numbers_share_a_program_and_each_structure_has_its_own():
     numbers = {"gamma": GAMMAS, "env.length": [0.25, 0.5], "env.max_episode_steps": [100, 500], "eval_every": [0, 100]}
-    assert plan("dqn", **numbers).programs == 1
+    assert plan("article-dqn", **numbers).programs == 1
     structures = {"env.integrator": ["euler", "semi-implicit"], "stop": ["none", "gymnasium"], "batch_size": [8, 16]}
     for name, values in structures.items():
-        assert plan("dqn", **{name: values}).programs == 2
-    both = plan("dqn", gamma=GAMMAS, **structures)
+        assert plan("article-dqn", **{name: values}).programs == 2
+    both = plan("article-dqn", gamma=GAMMAS, **structures)
     assert (len(both.settings), both.programs) == (16, 8)
-    assert plan("dqn", settings=[{"gamma": 0.9}, {"hidden": (8,)}, {"gamma": 0.8}, {"env.tau": 0.01}]).programs == 2
+    assert (
+        plan("article-dqn", settings=[{"gamma": 0.9}, {"hidden": (8,)}, {"gamma": 0.8}, {"env.tau": 0.01}]).programs
+        == 2
+    )
 
 
 def test_a_label_names_what_varies_in_the_order_in_which_it_was_given():
-    planned = plan("dqn", hidden=[(8,), (16, 16), ()], gamma=0.5, learning_rate_end=[None, 1e-5])
+    planned = plan("article-dqn", hidden=[(8,), (16, 16), ()], gamma=0.5, learning_rate_end=[None, 1e-5])
     assert planned.label(1) == "hidden 8, learning_rate_end 1e-05"
     assert planned.label(2) == "hidden 16,16, learning_rate_end None"
     assert planned.label(5) == "hidden none, learning_rate_end 1e-05"
-    assert plan("dqn", gamma=0.5).label(0) == ""
-    turned = plan("dqn", learning_rate_end=[None, 1e-5], hidden=[(8,), (16, 16)])
+    assert plan("article-dqn", gamma=0.5).label(0) == ""
+    turned = plan("article-dqn", learning_rate_end=[None, 1e-5], hidden=[(8,), (16, 16)])
     assert turned.label(0) == "learning_rate_end None, hidden 8"
-    assert plan("dqn", settings=[{"tau": 0.1, "gamma": 0.9}, {"env.length": 0.25}]).varied == (
+    assert plan("article-dqn", settings=[{"tau": 0.1, "gamma": 0.9}, {"env.length": 0.25}]).varied == (
         "tau",
         "gamma",
         "env.length",
@@ -100,7 +106,9 @@ def test_a_label_names_what_varies_in_the_order_in_which_it_was_given():
 
 
 def test_a_spec_is_json_that_holds_every_setting():
-    planned = plan("dqn", seeds=2, hidden=[(8,), ()], learning_rate_end=[None, 1e-5], **{"env.length": [0.25, 0.5]})
+    planned = plan(
+        "article-dqn", seeds=2, hidden=[(8,), ()], learning_rate_end=[None, 1e-5], **{"env.length": [0.25, 0.5]}
+    )
     spec = planned.spec()
     assert json.loads(json.dumps(spec)) == spec
     assert spec_hash(json.loads(json.dumps(spec))) == planned.hash()
@@ -108,15 +116,15 @@ def test_a_spec_is_json_that_holds_every_setting():
         told = spec["common"] | dict(zip(spec["varied"], row, strict=True))
         assert set(told) == set(settings.fields())
         read = {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}
-        assert settle(preset("dqn"), **read) == settings
-    assert (spec["preset"], spec["seeds"], spec["root_seed"], spec["prng"]) == ("dqn", 2, 0, "pcg4d")
+        assert settle(preset("article-dqn"), **read) == settings
+    assert (spec["preset"], spec["seeds"], spec["root_seed"], spec["prng"]) == ("article-dqn", 2, 0, "pcg4d")
     assert spec["threshold"] == CartPole.reward_threshold
-    assert planned.default_name() == f"dqn-{planned.hash()[:8]}"
+    assert planned.default_name() == f"article-dqn-{planned.hash()[:8]}"
 
 
 def test_the_hash_is_that_of_the_canonical_json_whatever_the_order():
-    spec = {"preset": "dqn", "settings": [[1, 0.1, None, "a", True, [8]]], "b": {"c": 1e-05}}
-    canonical = '{"b":{"c":1e-05},"preset":"dqn","settings":[[1,0.1,null,"a",true,[8]]]}'
+    spec = {"preset": "article-dqn", "settings": [[1, 0.1, None, "a", True, [8]]], "b": {"c": 1e-05}}
+    canonical = '{"b":{"c":1e-05},"preset":"article-dqn","settings":[[1,0.1,null,"a",true,[8]]]}'
     assert spec_hash(spec) == hashlib.sha256(canonical.encode()).hexdigest()
     assert spec_hash(dict(reversed(spec.items()))) == spec_hash(spec)
 
@@ -137,16 +145,16 @@ def test_a_hash_differs_with_everything_that_decides_a_row_and_with_nothing_else
         {"eval_every": 100},
         {"env.length": 0.25},
         {"env.integrator": "semi-implicit"},
-        {"learning_rate_end": None},
+        {"learning_rate_end": 1e-5},
     ]
-    hashes = [plan("dqn", **base).hash(), plan("article-dqn", **base).hash()]
-    hashes += [plan("dqn", **{**base, **change}).hash() for change in changes]
+    hashes = [plan("article-dqn", **base).hash(), plan("dqn", **base).hash()]
+    hashes += [plan("article-dqn", **{**base, **change}).hash() for change in changes]
     assert len(set(hashes)) == len(hashes)
     same = [
-        plan("dqn", gamma=["0.90", "0.99"], seeds=2),
-        plan("dqn", **base, tau=preset("dqn").settings.tau),
-        plan("dqn", **base, env="CartPole-v1"),
-        plan("dqn", settings=[{"gamma": 0.9}, {"gamma": 0.99}], seeds=2),
+        plan("article-dqn", gamma=["0.90", "0.99"], seeds=2),
+        plan("article-dqn", **base, tau=preset("article-dqn").settings.tau),
+        plan("article-dqn", **base, env="CartPole-v1"),
+        plan("article-dqn", settings=[{"gamma": 0.9}, {"gamma": 0.99}], seeds=2),
     ]
     assert {one.hash() for one in same} == {hashes[0]}
 
@@ -154,8 +162,8 @@ def test_a_hash_differs_with_everything_that_decides_a_row_and_with_nothing_else
 def test_an_environment_with_numbers_of_its_own_is_its_name_with_these_numbers():
     numbers = {"env.length": 0.25, "env.integrator": "semi-implicit"}
     world = CartPole(length=0.25, integrator="semi-implicit")
-    assert plan("dqn", env=world) == plan("dqn", env="CartPole-v1", **numbers)
-    assert plan("dqn", env=world, **{"env.length": [0.3, 0.4]}).settings[1].env.length == 0.4
+    assert plan("article-dqn", env=world) == plan("article-dqn", env="CartPole-v1", **numbers)
+    assert plan("article-dqn", env=world, **{"env.length": [0.3, 0.4]}).settings[1].env.length == 0.4
 
 
 TWO = {"gamma": GAMMAS}
@@ -186,7 +194,7 @@ TWO = {"gamma": GAMMAS}
         ({"settings": {"gamma": 0.9}}, "settings: {'gamma': 0.9} is not allowed"),
         ({"settings": [{"gamma": 0.9}], "gamma": 0.8}, "gamma: stands beside the settings and in one of them"),
         ({"settings": [{"gamma": 0.9}], "tau": [0.1, 0.2]}, "tau: an axis is not allowed beside settings"),
-        ({"settings": [{"gama": 0.9}]}, "gama: dqn has no such setting; did you mean 'gamma'"),
+        ({"settings": [{"gama": 0.9}]}, "gama: article-dqn has no such setting; did you mean 'gamma'"),
         ({"settings": [{"gamma": 0.9}, {"gamma": 1.5}]}, "gamma: 1.5 is not allowed: input should be less than"),
         ({"settings": [{"gamma": 0.9}, {"tau": 0.5}, {"gamma": "0.90"}]}, "number 0 and number 2 are the same"),
         ({"settings": [{}, {"gamma": 0.99}]}, "settings: number 0 and number 1 are the same"),
@@ -200,7 +208,7 @@ TWO = {"gamma": GAMMAS}
         ({"double": Range(0, 1)}, "double: a range is not allowed: give its values"),
         ({"learning_rate": RATES, "method": "grid"}, "learning_rate: a range needs the method random or sobol"),
         ({"env.length": -1.0}, "env.length: -1.0 is not allowed"),
-        ({"env.lenght": 0.5}, "env.lenght: dqn has no such setting; did you mean 'env.length'"),
+        ({"env.lenght": 0.5}, "env.lenght: article-dqn has no such setting; did you mean 'env.length'"),
         ({"env.reset_low": [0.0, 1.0]}, "env.reset_low: 1.0 must not be above reset_high"),
         ({"env": ["CartPole-v1"]}, "env: ['CartPole-v1'] is unknown"),
         ({"env": {}}, "env: {} is unknown"),
@@ -210,7 +218,7 @@ TWO = {"gamma": GAMMAS}
 )
 def test_a_plan_that_cannot_be_names_the_field_the_value_and_what_is_allowed(values, said):
     with pytest.raises(ValueError, match=r"^[\w.]+: ") as error:
-        plan("dqn", **values)
+        plan("article-dqn", **values)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -218,4 +226,4 @@ def test_a_plan_that_cannot_be_names_the_field_the_value_and_what_is_allowed(val
 def test_a_grid_of_more_than_a_million_settings_is_refused_before_it_is_made():
     many = [i / 2000 for i in range(1001)]
     with pytest.raises(ValueError, match="settings: 1002001 is not allowed: at most 1000000"):
-        plan("dqn", gamma=many, tau=many)
+        plan("article-dqn", gamma=many, tau=many)

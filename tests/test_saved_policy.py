@@ -77,7 +77,7 @@ def test_the_row_of_a_table_is_the_bucket_of_the_training(data, buckets):
 @pytest.mark.parametrize("hidden", [(), (8,), (16, 5), (7, 6, 5)])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_networks_values_are_those_of_the_agent(hidden, seed):
-    one = one_setting("dqn", hidden=hidden)
+    one = one_setting("article-dqn", hidden=hidden)
     agent = programs.played(one).agent
     network = mlp(hidden, 2)
     params = network.init(jax.random.key(seed), jnp.zeros(4))
@@ -128,7 +128,7 @@ SMALL = {"batch_size": 16, "learning_starts": 32, "buffer_size": 200, "max_env_s
 
 
 def test_an_observation_of_any_shape_is_laid_flat():
-    one = one_setting("dqn", env=image, hidden=(8,))
+    one = one_setting("article-dqn", env=image, hidden=(8,))
     params = mlp((8,), 2).init(jax.random.key(0), jnp.zeros(4))
     policy = SavedPolicy(saved_policy.describe(one), saved_policy.flatten(params))
     obs = np.random.default_rng(0).normal(size=(6, 2, 2)).astype(np.float32)
@@ -170,7 +170,7 @@ print(json.dumps(found))
     ("name", "values"),
     [
         ("q-learning", {"max_episodes": 60, "num_buckets": [(1, 1, 6, 3), (2, 1, 3, 3)], "eval_episodes": 2}),
-        ("dqn", {"hidden": [(8,), (6, 5)], **SMALL}),
+        ("article-dqn", {"hidden": [(8,), (6, 5)], **SMALL}),
     ],
 )
 def test_a_file_is_read_with_nothing_but_its_own_description(name, values, tmp_path):

@@ -82,9 +82,9 @@ MIXED = {"env.length": [0.25, 0.5], "gamma": [0.9, 0.99], "env.integrator": ["eu
 @example({"env.masspole": 0.2, "tau": [0.5, 1.0], **MIXED}, 2, 1)
 @settings(max_examples=300, deadline=None)
 def test_what_is_written_reads_as_the_same_plan(file, values, halving, rungs):
-    planned = plan("dqn", **values)
+    planned = plan("article-dqn", **values)
     if halving <= len(planned.settings):
-        planned = plan("dqn", **values, halving=halving, rungs=rungs)
+        planned = plan("article-dqn", **values, halving=halving, rungs=rungs)
     file.write_text(sweep_files.text(planned))
     again = sweep_files.load(file)
     assert again == planned

@@ -59,7 +59,7 @@ def told(folder):
     return dict(scalars), texts
 
 
-@pytest.fixture(scope="module", params=["q-learning", "dqn"])
+@pytest.fixture(scope="module", params=["q-learning", "article-dqn"])
 def lanes(request):
     """The lanes of a short sweep as they ended, and the plan."""
     values = TABLE if request.param == "q-learning" else NETWORK
@@ -107,7 +107,7 @@ def test_evaluations_on_the_way_are_there_and_a_lane_without_an_evaluation_has_n
     result = kept[0]
     tensorboard.write(tmp_path / "lane", result, planned.settings[0])
     on_the_way = told(tmp_path / "lane")[0]["eval/episodic_return"]
-    assert len(on_the_way) == (3 if planned.name == "dqn" else 1)
+    assert len(on_the_way) == (3 if planned.name == "article-dqn" else 1)
     curve = result.curve._replace(eval_return=np.full_like(result.curve.loss, np.nan))
     result = dataclasses.replace(result, eval_returns=None, curve=curve)  # as of a diverged lane
     tensorboard.write(tmp_path / "diverged", result, planned.settings[0])

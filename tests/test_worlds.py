@@ -144,7 +144,7 @@ def outcomes(swept):
     return swept.lanes.select(["config", "seed", *OUTCOMES]).to_pylist(), swept.curves.to_pylist()
 
 
-@pytest.mark.parametrize(("name", "values"), [("q-learning", TABLE), ("dqn", NETWORK)])
+@pytest.mark.parametrize(("name", "values"), [("q-learning", TABLE), ("article-dqn", NETWORK)])
 def test_a_function_that_makes_the_same_environment_gives_the_same_lanes(name, values):
     axes = {"env.length": [0.1, 0.5, 1.0], **values}
     registered = jaxq.sweep(name, **axes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -18,21 +19,21 @@ from jaxq.pictures.dress import COLOR_MAP, COLORS, LARGE, dress, measured, nothi
 
 #: Positive values that span more than this many times have a logarithmic scale.
 WIDE = 9
-#: An axis of more values than this is averaged in as many bins as ``BINS``, a grid of more cells has no numbers.
+#: An axis of more numbers than this is averaged in as many bins as ``BINS``, a grid of more cells has no numbers.
 FEW_VALUES, BINS, FEW_CELLS = 12, 8, 120
 #: More settings than this are dots without intervals.
 FEW_SETTINGS = 40
 #: Each of a few values has a tick where they are further apart than this part of the axis.
 CLOSE = 0.08
-#: Letters in a line of a tick's name.
-LONGEST = 30
+#: Letters in a line of a tick's name, and in all of them side by side.
+LONGEST, ACROSS = 30, 62
 
 
 def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str = "eval_return") -> Figure:
     """The metric over one axis: a dot per setting, its interquartile mean over seeds (with its 95 % interval where
     there are few), and a line, the interquartile mean of all lanes with that value whatever else is ``varied``, or of
-    an eighth of them where values are many. Settings of one value stand beside each other. Diverged lanes count as the
-    worst, unsolved ones as the longest.
+    an eighth of them where values are many; names are not joined by a line. Settings of one value stand beside each
+    other. Diverged lanes count as the worst, unsolved ones as the longest.
     """
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes: Any = figure.subplots()
@@ -42,7 +43,7 @@ def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str =
     values = chosen.values
     estimates = [stats.interquartile_mean(values[rows].tolist()) for rows in groups.values()]
     several = max(map(len, groups.values())) > 1
-    dress(axes, f"{chosen.name} by {axis}", axis, chosen.name + ", interquartile mean" * several)
+    dress(axes, f"{chosen.name} by {axis}", axis, _mean_of(chosen.name, several))
     measured(axes.yaxis, values)
     places, names = _places(lanes[axis].to_pylist())
     x = _beside(np.array([places[rows[0]] for rows in groups.values()]), names)
@@ -54,15 +55,19 @@ def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str =
         low, high = (np.array([getattr(one, end) for one in estimates], float) for end in ("low", "high"))
         axes.vlines(x, low, high, color="0.75", linewidth=1, zorder=1)
         labels[0] += ", with its 95 % interval over seeds"
-    at, middle, low, high, binned = _marginal(places, values)
+    at, middle, low, high, binned = _marginal(places, values, FEW_VALUES if names is None else len(names))
     if len(at) > 1 and len(groups) > len(at):
-        handles += axes.plot(at, middle, color=COLORS[0], marker="o", markersize=5, zorder=3)
+        line = "-" if names is None else "none"  # between names there is nothing
+        handles += axes.plot(at, middle, color=COLORS[0], linestyle=line, marker="o", markersize=5, zorder=3)
         labels.append(f"all lanes {'of an eighth of the values' if binned else 'with this value'}")
         if others := [name for name in varied if name != axis]:
             what = ", ".join(others) if len(others) <= 2 else f"the other {len(others)} hyperparameters"
             labels[-1] += f", whatever {what}"
         if several:  # one seed has no interval
-            axes.fill_between(at, low, high, color=COLORS[0], alpha=0.15, linewidth=0, zorder=0)
+            if names is None:
+                axes.fill_between(at, low, high, color=COLORS[0], alpha=0.15, linewidth=0, zorder=0)
+            else:
+                axes.vlines(at, low, high, color=COLORS[0], linewidth=2, zorder=3)
             labels[-1] += ", 95 % interval"
         else:
             labels[-1] += ": interquartile mean"
@@ -94,7 +99,7 @@ def heat_map(lanes: pa.Table, x: str, y: str, metric: str = "eval_return") -> Fi
     else:
         shown = _dots(axes, lanes, x, y, chosen.values)
     several = len(lanes) > (len(pairs) if cells else len(groups))
-    bar = figure.colorbar(shown, ax=axes, label=chosen.name + ", interquartile mean" * several)
+    bar = figure.colorbar(shown, ax=axes, label=_mean_of(chosen.name, several))
     measured(bar.ax.yaxis, chosen.values)
     return with_legend(figure, [], [], chosen.note)
 
@@ -126,6 +131,11 @@ def _dots(axes: Axes, lanes: pa.Table, x: str, y: str, values: np.ndarray) -> An
     return axes.scatter(stands[0][order], stands[1][order], c=heights[order], **look)
 
 
+def _mean_of(name: str, several: bool) -> str:
+    """What an axis shows, of one lane its value."""
+    return f"{name},{' ' if len(name) <= 20 else chr(10)}interquartile mean" if several else name
+
+
 def _parts(keys: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
     """The values by key, in the order of the keys."""
     order = np.argsort(keys, kind="stable")
@@ -133,13 +143,14 @@ def _parts(keys: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
     return np.split(values[order], begins[1:])
 
 
-def _marginal(places: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
-    """Per value, or per bin of about equally many lanes: where, the interquartile mean, the ends of its interval.
-
-    Lanes of one value are never parted.
+def _marginal(
+    places: np.ndarray, values: np.ndarray, most: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
+    """Per value, or per bin of about equally many lanes where there are more values than ``most``: where, the
+    interquartile mean, the ends of its interval, and whether in bins. Lanes of one value are never parted.
     """
     distinct, which, counts = np.unique(places, return_inverse=True, return_counts=True)
-    binned = len(distinct) > FEW_VALUES
+    binned = len(distinct) > most
     if binned:
         which = np.minimum((np.cumsum(counts) - counts / 2) * BINS // len(places), BINS - 1)[which]
     at = [float(np.median(part)) for part in _parts(which, places)]
@@ -219,14 +230,23 @@ def _is_wide(places: np.ndarray) -> bool:
 
 
 def _label(axis: Any, names: list[str]) -> None:
-    """Names as ticks, at most some twenty of them; long ones are broken, and turned where that is not enough."""
+    """Names as ticks, at most some twenty of them. Long ones are broken, and where that is not enough turned: the
+    figure grows by their height.
+    """
     at = list(range(0, len(names), -(-len(names) // 20)))
-    across = axis.axis_name == "x"
-    shown = [_broken(names[i], max(8, 64 // len(at)) if across else LONGEST) for i in at]
-    turn = across and sum(max(map(len, name.split("\n"))) + 2 for name in shown) > 76
-    if turn:
-        shown = [_broken(names[i], LONGEST) for i in at]
-    axis.set_ticks(at, shown, **({"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if turn else {}))
+    if axis.axis_name == "y":
+        axis.set_ticks(at, [_broken(names[i], LONGEST) for i in at])
+        return
+    room = ACROSS // len(at)
+    shown = [_broken(names[i], max(8, room - 2)) for i in at]
+    widths = [max(map(len, name.split("\n"))) for name in shown]
+    if all(one + other <= 2 * (room - 1) for one, other in itertools.pairwise(widths)):
+        axis.set_ticks(at, shown)
+        return
+    shown = [_broken(names[i], LONGEST) for i in at]
+    axis.set_ticks(at, shown, rotation=45, ha="right", rotation_mode="anchor")
+    figure = axis.get_figure()
+    figure.set_figheight(figure.get_figheight() + 0.06 * max(len(line) for name in shown for line in name.split("\n")))
 
 
 def _broken(name: str, letters: int) -> str:
