@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -263,11 +264,15 @@ def _bootstrap(statistic: Callable[..., np.ndarray], *samples: np.ndarray) -> tu
 
 def _resamples(sizes: tuple[int, ...]) -> Iterator[list[np.ndarray]]:
     """Indices [rows, n] of the resamples of samples of these sizes, each row sorted, RESAMPLES rows in all."""
-    rng = np.random.default_rng(0)  # the same data give the same interval
     batch = max(1, 400_000 // sum(sizes))
-    for start in range(0, RESAMPLES, batch):
-        rows = min(batch, RESAMPLES - start)
-        yield [np.sort(rng.integers(size, size=(rows, size))) for size in sizes]
+    batches = [min(batch, RESAMPLES - start) for start in range(0, RESAMPLES, batch)]
+    rngs = [np.random.default_rng(0)]  # the same data give the same interval
+    for size in sizes[:-1]:  # as scipy draws: each sample where the one before has ended
+        rngs.append(copy.deepcopy(rngs[-1]))
+        for rows in batches:
+            rngs[-1].integers(size, size=(rows, size))
+    for rows in batches:
+        yield [np.sort(rng.integers(size, size=(rows, size))) for rng, size in zip(rngs, sizes, strict=True)]
 
 
 @functools.lru_cache(maxsize=32)
