@@ -31,10 +31,10 @@ class BrokenManifest(RunError):
 def new(plan: Plan) -> Manifest:
     """The manifest of a run that has done nothing yet.
 
-    ``files`` will hold the SHA-256 of each file by its path, ``widths`` the lanes of a group by the first setting of
-    each program, ``rungs`` what halving decided, ``mismatches`` what was otherwise when the run was resumed.
+    ``files`` will hold the SHA-256 of each file by its path, ``agreed`` what the lanes depend on beside the spec,
+    ``rungs`` what halving decided, ``mismatches`` what was otherwise when the run was resumed.
     """
-    empty: Manifest = {"widths": {}, "rungs": [], "mismatches": [], "files": {}}
+    empty: Manifest = {"agreed": {}, "rungs": [], "mismatches": [], "files": {}}
     about = {"format": FORMAT, "id": uuid.uuid4().hex, "spec_hash": plan.hash(), "spec": plan.spec()}
     return about | _machine() | empty
 
@@ -45,7 +45,7 @@ def read(path: Path) -> Manifest:
         found = json.loads(path.read_text())
     except (OSError, ValueError):
         raise BrokenManifest(f"{path}: cannot be read; {_MEND}") from None
-    kinds = {"format": int, "id": str, "spec_hash": str, "spec": dict, "versions": dict, "widths": dict}
+    kinds = {"format": int, "id": str, "spec_hash": str, "spec": dict, "versions": dict, "agreed": dict}
     kinds |= {"files": dict, "rungs": list, "mismatches": list}
     if not isinstance(found, dict) or not isinstance(found.get("format"), int):
         raise BrokenManifest(f"{path}: is no manifest; {_MEND}")
@@ -96,9 +96,14 @@ def agree(path: Path, found: Manifest, plan: Plan, allow: bool) -> None:
     if any(kind == "spec" for kind, *_ in differences) and not _extends(found["spec"], wanted):
         raise RunError(f"{path}: was made for another sweep: {said}; choose another --out")
     if not allow:
-        raise RunError(f"{path}: was made otherwise: {said}; choose another --out, or go on with --allow-mismatch")
+        raise RunError(otherwise(path, said))
     note(found, [(what, was, now) for _, what, was, now in differences])
     found.update(_machine() | {"spec": wanted, "spec_hash": plan.hash()})
+
+
+def otherwise(path: Path, said: str) -> str:
+    """What is told of a run that was made otherwise."""
+    return f"{path}: was made otherwise: {said}; choose another --out, or go on with --allow-mismatch"
 
 
 def note(held: Manifest, differences: list[tuple[str, Any, Any]]) -> None:

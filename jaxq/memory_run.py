@@ -37,7 +37,7 @@ class MemoryRun:
         for lane, weights in policies.items():
             self._policies[lane] = dict(weights), dict(about)
 
-    def agree_width(self, config: int, width: int) -> None:
+    def agree(self, what: str, value: int | str) -> None:
         """There is nothing to agree with."""
 
     def decide(self, rung: Mapping[str, object]) -> None:

@@ -153,21 +153,18 @@ class RunDirectory:
         self.manifest["files"] |= written
         self._write_manifest()
 
-    def agree_width(self, config: int, width: int) -> None:
-        """Records how many lanes run together in the program of setting ``config``, which decides their bits.
+    def agree(self, what: str, value: int | str) -> None:
+        """Records what the lanes depend on and no spec holds, such as how many of them run together.
 
-        Raises RunError where the run was begun with another width.
+        Raises RunError where the run was begun otherwise.
         """
-        widths = self.manifest["widths"]
-        before = widths.setdefault(str(config), width)
-        if before != width:
+        agreed = self.manifest["agreed"]
+        before = agreed.setdefault(what, value)
+        if before != value:
             if not self._allow:
-                raise RunError(
-                    f"{self.path}: was made otherwise: width was {before}, is {width}; choose another --out,"
-                    " or go on with --allow-mismatch"
-                )
-            manifest.note(self.manifest, [(f"width of setting {config}", before, width)])
-            widths[str(config)] = width
+                raise RunError(manifest.otherwise(self.path, f"{what} was {before}, is {value}"))
+            manifest.note(self.manifest, [(what, before, value)])
+            agreed[what] = value
         self._write_manifest()
 
     def decide(self, rung: Mapping[str, object]) -> None:

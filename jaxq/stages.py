@@ -71,6 +71,8 @@ class Sweep:
             self.structures.setdefault(settings.structural(), []).append(config)
         self.have = np.zeros((len(planned.settings), len(planned.seeds)), bool)
         self.overall = Progress(planned.lanes)
+        self.store.agree("episodes", "all" if self.keep_episodes else "none")
+        self.store.agree("keep", "all" if self.keep is None else self.keep)
         self._count_what_is_there()
         self.batches = Batches(self.store, planned.settings, self.keep_episodes, self.keep, self._committed)
         factor = planned.halving
@@ -151,7 +153,7 @@ class Sweep:
             self.timing.compile_s += built.seconds
             self.timing.programs += 1
             self.timing.cached += built.cached
-            self.store.agree_width(first, built.program.width)
+            self.store.agree(f"width of setting {first}", built.program.width)
             self.built[key] = built
         built = self.built[key]
         began = time.perf_counter()

@@ -45,8 +45,8 @@ class Store(Readable, Protocol):
         ``about``.
         """
 
-    def agree_width(self, config: int, width: int) -> None:
-        """Records how many lanes run together in the program of setting ``config``, which decides their bits."""
+    def agree(self, what: str, value: int | str) -> None:
+        """Records what the lanes depend on and no spec holds, such as how many of them run together."""
 
     def decide(self, rung: Mapping[str, object]) -> None:
         """Records what halving decided at a rung."""

@@ -67,7 +67,7 @@ BREAKS = {
             ("format", "3"),
             ("files", None),
             ("files", []),
-            ("widths", 3),
+            ("agreed", 3),
             ("spec_hash", None),
             ("spec_hash", "0" * 64),
             ("versions", ""),
@@ -174,16 +174,34 @@ def test_the_flag_that_goes_on_is_allow_mismatch(tmp_path, killed, whole):
 
 def test_another_width_goes_on_only_when_asked_and_says_so(tmp_path, whole, killed):
     path = shutil.copytree(killed, tmp_path / "run")
-    (width,) = held(path)["widths"].values()
-    edit(path, widths={"0": 8})
-    with pytest.raises(RunError, match=rf"was made otherwise: width was 8, is {width}; .*--allow-mismatch"):
+    agreed = held(path)["agreed"]
+    width = agreed["width of setting 0"]
+    edit(path, agreed=agreed | {"width of setting 0": 8})
+    with pytest.raises(
+        RunError, match=rf"was made otherwise: width of setting 0 was 8, is {width}; .*--allow-mismatch"
+    ):
         Watched(path, TABLES)
     assert len(faults.rows(path)["lanes"]) < TABLES.lanes
     Watched(path, TABLES, allow=True)
     (noted,) = held(path)["mismatches"]
     assert (noted["was"], noted["is"]) == (8, width)
-    assert held(path)["widths"] == {"0": width}
+    assert held(path)["agreed"] == agreed
     assert_same(path, whole)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [({"keep": 3}, "keep was all, is 3"), ({"keep_episodes": False}, "episodes was all, is none")],
+)
+def test_who_asks_for_other_rows_or_policies_is_told_before_a_lane_runs(tmp_path, killed, whole, options, said):
+    path = shutil.copytree(killed, tmp_path / "run")
+    before = faults.rows(path)
+    with pytest.raises(RunError, match=f"was made otherwise: {said}; .*--allow-mismatch"):
+        Watched(path, TABLES, **options)
+    assert all(table.equals(before[kind]) for kind, table in faults.rows(path).items())
+    Watched(path, TABLES, allow=True, **options)
+    assert [f"{one['what']} was {one['was']}, is {one['is']}" for one in held(path)["mismatches"]] == [said]
+    assert faults.rows(path)["lanes"].equals(faults.rows(whole)["lanes"])
 
 
 LARGER = {
@@ -198,7 +216,7 @@ LARGER = {
 def test_a_larger_sweep_keeps_the_rows_that_are_there_and_runs_the_others(tmp_path, request, what, begun):
     larger, said = LARGER[what]
     path = shutil.copytree(request.getfixturevalue(begun), tmp_path / "run")
-    before = contents(path)
+    before, committed = contents(path), run_files.committed(path)
     rows = len(faults.rows(path)["lanes"])
     with pytest.raises(RunError) as refused:
         Watched(path, larger)
@@ -208,7 +226,7 @@ def test_a_larger_sweep_keeps_the_rows_that_are_there_and_runs_the_others(tmp_pa
     again = Watched(path, larger, allow=True)
     assert len(again.ran) == larger.lanes - rows
     for file, data in before.items():
-        if run_files.batch(file):
+        if run_files.batch(file) in committed:
             assert file.read_bytes() == data
     Watched(tmp_path / "fresh", larger)
     assert_same(path, tmp_path / "fresh")
