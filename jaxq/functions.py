@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import create_model
 
-from jaxq import plans, prng, programs, worlds
+from jaxq import plans, prng, programs, sources
 from jaxq.axes import Range
 from jaxq.experiment import FINISHED, Log
 from jaxq.plans import Plan
@@ -122,7 +122,7 @@ def _kind(fn: Callable[..., Any], width: int, values: Mapping[str, Any], setting
         default = (number if annotation in (int, float) else structure)(flat[0] if flat else None, "")
         fields[name] = (annotation, default)
     made: Any = create_model("Values", __base__=FunctionSettings, **fields)
-    made.function, made.width, made.source = staticmethod(fn), width, worlds.source_of(fn)
+    made.function, made.width, made.source = staticmethod(fn), width, sources.digest(fn)
     return made  # type: ignore[no-any-return]
 
 

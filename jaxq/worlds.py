@@ -5,8 +5,6 @@ A *world* says which environment a lane lives in; ``envs`` makes the environment
 
 from __future__ import annotations
 
-import functools
-import hashlib
 import inspect
 import math
 from collections.abc import Callable
@@ -14,6 +12,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import create_model, model_validator
 
+from jaxq import sources
 from jaxq.settings import NO_LIMIT, Settings, number, structure
 from jaxq.suggest import nearest
 
@@ -30,7 +29,9 @@ class World(Settings):
     id: ClassVar[str] = ""
     reward_threshold: ClassVar[float | None] = None
     factory: ClassVar[Callable[..., Any] | None] = None
-    source: ClassVar[str | None] = None  # SHA-256 of the user's function, which a run directory remembers
+    source: ClassVar[str | None] = (
+        None  # of the user's function, what sources.digest says: a run directory remembers it
+    )
 
     def __str__(self) -> str:
         return self.id
@@ -84,24 +85,8 @@ def world(chosen: str | World | Callable[..., Any]) -> World:
     return WORLDS[chosen]()
 
 
-def source_of(function: Callable[..., Any]) -> str | None:
-    """SHA-256 of a function's source text; None where there is none to read, as for what is built in."""
-    try:
-        return hashlib.sha256(inspect.getsource(_written(function)).encode()).hexdigest()
-    except (OSError, TypeError):
-        return None
-
-
-def _written(function: Any) -> Any:
-    """The function or the class that stands in the source, where this is a part or an instance of it."""
-    while isinstance(function, functools.partial):
-        function = function.func
-    function = inspect.unwrap(function)
-    return function if inspect.isroutine(function) or inspect.isclass(function) else type(function)
-
-
 def _own(make_env: Callable[..., Any]) -> World:
-    written = _written(make_env)
+    written = sources.written(make_env)
     fields: dict[str, Any] = {}
     for name, parameter in inspect.signature(make_env).parameters.items():
         default = parameter.default
@@ -114,5 +99,5 @@ def _own(make_env: Callable[..., Any]) -> World:
     kind: Any = create_model("Own", __base__=World, **fields)
     kind.id = f"{written.__module__}:{written.__qualname__}"
     kind.reward_threshold = getattr(make_env, "reward_threshold", None)
-    kind.factory, kind.source = staticmethod(make_env), source_of(make_env)
+    kind.factory, kind.source = staticmethod(make_env), sources.digest(make_env)
     return kind()

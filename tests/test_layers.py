@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parent.parent / "jaxq"
 #: Each module may import from lower rows only; modules of one row do not know each other unless listed together in
 #: a pair below.
 LAYERS = [
-    ["types", "families", "suggest", "cpu", "machine", "run_files", "streams", "exits", "bench.worker"],
+    ["types", "families", "suggest", "cpu", "machine", "run_files", "streams", "exits", "sources", "bench.worker"],
     ["bench.contest", "bench.report", "bench.memory", "bench.affinity", "bench"],
     ["settings", "axes"],
     ["worlds"],

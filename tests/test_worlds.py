@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxq
-from jaxq import envs, programs, worlds
+from jaxq import envs, programs
 from jaxq.envs import CartPoleParams, cartpole
 from jaxq.interop import gymnasium as interop
 from jaxq.plans import plan
@@ -203,8 +203,6 @@ def test_a_part_of_a_function_and_a_callable_object_make_worlds_too():
     assert world(part).flat() == {"cells": 3, "goal_reward": 1.0, "slippery": False}
     assert str(world(part)) == f"{__name__}:walk"
     assert str(world(Corridor())).endswith("Corridor")
-    assert worlds.source_of(part) == worlds.source_of(walk) == worlds.source_of(jax.jit(walk))
-    assert worlds.source_of(len) is None
     made = programs.played(settle(preset("q-learning"), env=part)).world
     assert made.num_states == 8
 
