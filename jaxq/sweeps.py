@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jaxq import functions
+from jaxq import estimate, functions
 from jaxq.compile_cache import CompileCache
 from jaxq.memory_run import MemoryRun
 from jaxq.outcome import Outcome
@@ -58,6 +59,9 @@ def sweep(
     out: str | Path | None = None,
     resume: bool = False,
     overwrite: bool = False,
+    allow_mismatch: bool = False,
+    keep: int | None = None,
+    keep_episodes: bool = False,
     workers: int | None = None,
     cache: CompileCache | None = None,
     **values: Any,
@@ -67,15 +71,22 @@ def sweep(
     ``jaxq.sweep("article-q", gamma=[0.95, 0.99], seeds=32).summary()``. ``values`` are those of ``plan``: axes, fixed
     values, ``seeds``, ``root_seed``, ``prng``, ``method``, ``samples``, ``settings``, ``halving``, ``env``. Instead of
     a preset ``name`` may be a pure function ``fn(key, hypers) -> pytree``: see ``functions``. With ``out`` the run is
-    kept in that directory, as by the command line. Nothing compiled is kept on disk unless a ``cache`` is given, such
-    as ``jaxq.compile_cache.user_cache()``. Raises ValueError as ``plan`` does, and RunError for a directory that cannot
-    be used.
+    kept in that directory, as by the command line; ``resume``, ``overwrite``, ``allow_mismatch``, ``keep`` and
+    ``keep_episodes`` are its flags. Nothing compiled is kept on disk unless a ``cache`` is given, such as
+    ``jaxq.compile_cache.user_cache()``. Raises ValueError as ``plan`` does, RunError for a directory that cannot be
+    used, and MemoryError, before anything runs, for a preset's lanes that would not fit.
     """
-    planned = functions.plan(name, **values) if callable(name) else plan(name, **values)
-    if out is None:
-        return run(planned, workers=workers, cache=cache)
-    with RunDirectory.open(Path(out), planned, resume=resume, overwrite=overwrite) as directory:
-        return run(planned, directory=directory, workers=workers, cache=cache)
+    if callable(name):
+        planned = functions.plan(name, **values)
+    else:
+        planned = plan(name, **values)
+        estimate.check(planned, workers)
+    with contextlib.ExitStack() as stack:
+        directory = None
+        if out is not None:
+            asked = {"resume": resume, "overwrite": overwrite, "allow_mismatch": allow_mismatch}
+            directory = stack.enter_context(RunDirectory.open(Path(out), planned, **asked))
+        return run(planned, directory=directory, keep=keep, keep_episodes=keep_episodes, workers=workers, cache=cache)
 
 
 def train(
