@@ -11,6 +11,7 @@ import pyarrow as pa
 from jaxq import stats
 from jaxq.settings import NO_LIMIT
 from jaxq.stats import Estimate
+from jaxq.suggest import nearest
 
 Row = dict[str, Any]
 NONE = Estimate(None, None, None)
@@ -20,14 +21,16 @@ def summary(lanes: pa.Table, varied: Sequence[str], threshold: float | None = No
     """One row per setting, in the order of ``config``: what varied, and statistics over its seeds, each with the ends
     of its 95 % interval as ``_low`` and ``_high``, which are None with one seed.
 
-    ``solved`` is the share of lanes that the stop rule ended; ``reached`` that of lanes whose greedy return is at least
+    ``solved`` is the share of lanes that the stop rule ended, of those that no rung stopped, since of these nobody
+    knows, and None where a rung stopped all; ``reached`` the share of lanes whose greedy return is at least
     ``threshold``; ``median_episodes`` and ``median_env_steps`` are Kaplan-Meier medians of the time until solved;
     ``final_return`` (training), ``eval_return`` (greedy) and ``area_under_curve`` are interquartile means. Diverged
-    lanes are counted, take part in the shares and times, and have no return.
+    lanes are counted, take part in the shares and times, and have no return. ``stopped`` lanes have the returns that
+    they had then, at ``stopped_at_rung``, which is None for a setting that went to the end.
     """
-    columns = {name: lanes[name] for name in lanes.column_names}
-    if "stopped_at_rung" not in columns:  # of a function of the user's own
+    if outputs(lanes) is not None:
         return _of_outputs(lanes, varied)
+    columns = {name: lanes[name] for name in lanes.column_names}
     config = columns["config"].to_numpy()
     order = np.argsort(config, kind="stable")
     settings, begins = np.unique(config[order], return_index=True)
@@ -42,14 +45,12 @@ def summary(lanes: pa.Table, varied: Sequence[str], threshold: float | None = No
 
 def _of_outputs(lanes: pa.Table, varied: Sequence[str]) -> list[Row]:
     """Of a function's lanes: the interquartile mean of each number that it returned."""
-    names = lanes.column_names
-    outputs = [name for name in names[names.index("status") + 1 :] if _is_number(lanes[name].type)]
     config = lanes["config"].to_numpy()
     rows = []
     for setting in np.unique(config).tolist():
         mine = lanes.filter(pa.array(config == setting))
         row: Row = {"config": setting, **{name: mine[name][0].as_py() for name in varied}, "seeds": len(mine)}
-        for name in outputs:
+        for name in outputs(lanes) or ():
             row |= _named(name, stats.interquartile_mean(_values(mine[name].drop_null()).tolist()))
         rows.append(row | {"diverged": mine["status"].to_pylist().count("diverged")})
     return rows
@@ -59,30 +60,59 @@ def _is_number(kind: pa.DataType) -> bool:
     return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind))
 
 
-def best(rows: Sequence[Row], metric: str = "eval_return") -> Row:
-    """The row of the setting whose ``metric`` is greatest; of equals see ``ranked``.
+def outputs(lanes: pa.Table) -> list[str] | None:
+    """The numbers that a function of the user's own returned, by name; None for lanes of trainings."""
+    names = lanes.column_names
+    if "stopped_at_rung" in names or "status" not in names:
+        return None
+    return [name for name in names[names.index("status") + 1 :] if _is_number(lanes[name].type)]
+
+
+def best(rows: Sequence[Row], metric: str | None = None) -> Row:
+    """The row of the setting whose ``metric`` is greatest, by default the greedy return, or the first number that a
+    function returned; of equals, and with halving, see ``ranked``.
 
     Raises ValueError where a setting has one seed, which ranks nothing, and where no setting has the metric.
     """
     if any(row["seeds"] == 1 for row in rows):
         raise ValueError("seeds: one seed ranks no settings; train at least two")
-    if not rows or metric not in rows[0]:
-        raise ValueError(f"metric: {metric!r} is no column of the summary")
+    metrics = metrics_of(rows)
+    if not metrics:
+        raise ValueError("metric: no setting has a number to be ranked by")
+    metric = metrics[0] if metric is None else metric
+    if metric not in metrics:
+        raise ValueError(f"metric: {metric!r} is no column of the summary{nearest(metric, metrics)}")
     first = ranked(rows, metric)[0]
     if first[metric] is None:
         raise ValueError(f"metric: no setting has {metric}")
     return first
 
 
+def metrics_of(rows: Sequence[Row]) -> list[str]:
+    """What the settings of a summary can be ranked by, the default first."""
+    if not rows:
+        return []
+    names = list(rows[0])
+    found = [name for name in names[names.index("seeds") + 1 :] if not name.endswith(("_low", "_high"))]
+    found = [name for name in found if name not in ("diverged", "stopped", "stopped_at_rung")]
+    return sorted(found, key=lambda name: name != "eval_return")
+
+
 def ranked(rows: Sequence[Row], metric: str = "eval_return") -> list[Row]:
     """The rows from the best to the worst by ``metric``; of equals, as where every middle half ends at 500, those of
     greater mean come first, then those that were solved sooner, then those that come first.
+
+    Returns after unequal trainings do not compare: settings that went to the end come before those that halving
+    stopped, and of these the ones that came further. A setting without the metric comes last.
     """
 
-    def worth(row: Row) -> tuple[float, float, float, int]:
-        value, mean, steps = row[metric], row.get("eval_mean"), row.get("median_env_steps")
+    def worth(row: Row) -> tuple[bool, float, float, float, float, int]:
+        value, rung = row[metric], row.get("stopped_at_rung")
+        mean, steps = row.get("eval_mean"), row.get("median_env_steps")
         return (
-            np.inf if value is None else -value,
+            value is None,
+            -np.inf if rung is None else -rung,
+            0.0 if value is None else -value,
             np.inf if mean is None else -mean,
             np.inf if steps is None else steps,
             row["config"],
@@ -98,6 +128,7 @@ _READ = (
     "env_steps",
     "max_episodes",
     "max_env_steps",
+    "stopped_at_rung",
     "solved_at_episode",
     "solved_at_step",
     "final_return",
@@ -112,7 +143,8 @@ def _setting(mine: dict[str, np.ndarray], threshold: float | None) -> Row:
     kept = status != "diverged"
     returns = mine["eval_return"][kept & np.isfinite(mine["eval_return"])]
     row: Row = {"seeds": seeds}
-    row |= _named("solved", _share(status == "solved") if looks else NONE)
+    watched = status != "stopped"  # of the others nobody knows whether they would have been solved
+    row |= _named("solved", _share(status[watched] == "solved") if looks and watched.any() else NONE)
     row |= _named("reached", NONE if threshold is None else _share(mine["eval_return"] >= threshold))
     row |= _named("median_episodes", _time(mine, "solved_at_episode", "episodes", "max_episodes") if looks else NONE)
     row |= _named("median_env_steps", _time(mine, "solved_at_step", "env_steps", "max_env_steps") if looks else NONE)
@@ -121,7 +153,8 @@ def _setting(mine: dict[str, np.ndarray], threshold: float | None) -> Row:
         row |= _named(name, stats.interquartile_mean(values[np.isfinite(values)].tolist()))
     row["eval_median"] = float(np.median(returns)) if len(returns) else None
     row["eval_mean"] = float(np.mean(returns)) if len(returns) else None
-    row["diverged"], row["stopped"] = int((status == "diverged").sum()), int((status == "stopped").sum())
+    row["diverged"], row["stopped"] = int((status == "diverged").sum()), int((~watched).sum())
+    row["stopped_at_rung"] = None if watched.all() else int(mine["stopped_at_rung"][~watched].max())
     return row
 
 

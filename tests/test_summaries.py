@@ -88,6 +88,30 @@ def test_a_lane_that_halving_stopped_was_watched_until_then():
     assert (row["median_env_steps"], row["median_env_steps_low"], row["median_env_steps_high"]) == wanted
 
 
+STOPPED = {"status": "stopped", "episodes": 5, "env_steps": 50, "stopped_at_rung": 0}
+
+
+def test_a_lane_that_halving_stopped_is_no_failure_and_no_success():
+    row = only(solved(10, 1000), {}, STOPPED, STOPPED)
+    assert (row["solved"], row["solved_low"], row["solved_high"]) == stats.share(1, 2)
+    assert (row["stopped"], row["stopped_at_rung"]) == (2, 0)
+    row = only(STOPPED, STOPPED | {"stopped_at_rung": 1})
+    assert row["solved"] is row["solved_low"] is row["solved_high"] is None
+    assert (row["stopped"], row["stopped_at_rung"]) == (2, 1)
+    assert only(solved(10, 1000), {})["stopped_at_rung"] is None
+
+
+def test_settings_that_went_to_the_end_come_before_those_that_were_stopped_the_further_the_sooner():
+    ended = [{"eval_return": value} for value in (100.0, 200.0)]
+    early, late = ({**STOPPED, "eval_return": value, "stopped_at_rung": k} for value, k in ((500.0, 0), (300.0, 1)))
+    rows = [{**one, "config": c} for c, one in enumerate([early, late, *ended]) for _ in range(2)]
+    found = summaries.summary(table(*rows), [])
+    assert [row["config"] for row in summaries.ranked(found)] == [3, 2, 1, 0]
+    assert summaries.best(found)["config"] == 3
+    lost = [{**row, "eval_return": None} if row["config"] >= 2 else row for row in found]
+    assert summaries.best(lost)["config"] == 1  # there is no other with a return
+
+
 def test_rows_come_in_the_order_of_the_settings_with_what_varied():
     rows = table({"config": 1, "gamma": 0.99}, {"config": 0}, {"config": 1, "gamma": 0.99})
     found = summaries.summary(rows, ["gamma"])
@@ -96,7 +120,8 @@ def test_rows_come_in_the_order_of_the_settings_with_what_varied():
 
 def settings(*values):
     names = ("eval_return", "eval_mean", "median_env_steps", "seeds")
-    return [{"config": i, **dict(zip(names, one, strict=True))} for i, one in enumerate(values)]
+    rows = [dict(zip(names, one, strict=True)) for one in values]
+    return [{"config": i, "seeds": row["seeds"], **row} for i, row in enumerate(rows)]
 
 
 def test_ties_are_ranked_by_the_mean_then_by_the_time_then_by_the_order():
@@ -108,8 +133,10 @@ def test_ties_are_ranked_by_the_mean_then_by_the_time_then_by_the_order():
 def test_one_seed_ranks_nothing_and_a_column_must_be_there():
     with pytest.raises(ValueError, match="one seed ranks no settings"):
         summaries.best(settings((500, 500, 1, 1)))
-    with pytest.raises(ValueError, match="'return' is no column"):
-        summaries.best(settings((500, 500, 1, 2)), "return")
+    with pytest.raises(ValueError, match=r"'eval_retrun' is no column of the summary; did you mean 'eval_return'\?"):
+        summaries.best(settings((500, 500, 1, 2)), "eval_retrun")
+    with pytest.raises(ValueError, match="'x' is no column of the summary; known: eval_return, eval_mean, median_env"):
+        summaries.best(settings((500, 500, 1, 2)), "x")
     with pytest.raises(ValueError, match="no setting has eval_return"):
         summaries.best(settings((None, None, None, 2)))
 
@@ -124,3 +151,20 @@ def test_a_functions_outputs_are_averaged_each():
     assert (first["area"], second["area"], first["r"], second["r"]) == (1.0, 2.0, 0, 1)
     assert (first["area_low"], first["area_high"]) == stats.interquartile_mean([0.0, 2.0])[1:]
     assert "word" not in first
+
+
+def test_the_default_metric_of_a_function_is_the_first_number_that_it_returned():
+    rows = [
+        {"config": c, "seed": s, "r": c, "status": "finished", "word": "x", "area": -c, "deep": [1.0], "other": c + s}
+        for c in (0, 1)
+        for s in (0, 2)
+    ]
+    lanes = pa.Table.from_pylist(rows)
+    assert summaries.outputs(lanes) == ["area", "other"]
+    assert summaries.outputs(table({})) is None
+    found = summaries.summary(lanes, ["r"])
+    assert (summaries.best(found)["config"], summaries.best(found, "other")["config"]) == (0, 1)
+    with pytest.raises(ValueError, match="'eval_return' is no column of the summary; known: area, other"):
+        summaries.best(found, "eval_return")
+    with pytest.raises(ValueError, match="metric: no setting has a number to be ranked by"):
+        summaries.best(summaries.summary(lanes.drop_columns(["area", "other"]), ["r"]))
