@@ -9,6 +9,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from jaxq import commands, exits, flags, streams, sweep_files
 from jaxq.flags import COMMANDS, UsageError
@@ -51,14 +52,15 @@ def _dispatch(arguments: list[str]) -> int:
         if rest[0] in ("-h", "--help"):
             flags.preset_overview(command).parse_args(rest)
         raise UsageError(f"the preset comes first: jaxq {command} PRESET {' '.join(rest[:1])} ...")
-    asked = {}
+    asked: dict[str, Any] = {}
+    file = Path(rest[0]) if command == "sweep" and rest[0].endswith(".toml") else None
     try:
-        if command == "sweep" and rest[0].endswith(".toml"):
-            asked = sweep_files.read(Path(rest[0]))
+        if file:
+            asked = sweep_files.read(file)
         chosen = preset(asked.pop("name", rest[0]))
     except ValueError as error:
         raise UsageError(str(error)) from None
-    return commands.run(command, chosen, flags.parse(command, chosen, rest[1:], asked.get("env")), asked)
+    return commands.run(command, chosen, flags.parse(command, chosen, rest[1:], asked.get("env")), asked, file)
 
 
 def _of_a_run(command: str, words: list[str]) -> int:

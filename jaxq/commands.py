@@ -14,7 +14,7 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +25,20 @@ from jaxq.plans import Plan, plan
 from jaxq.presets import Preset, Training
 
 
-def run(command: str, chosen: Preset, options: argparse.Namespace, asked: dict[str, Any] | None = None) -> int:
+def run(
+    command: str,
+    chosen: Preset,
+    options: argparse.Namespace,
+    asked: Mapping[str, Any] | None = None,
+    file: Path | None = None,
+) -> int:
     """Runs ``sweep`` or ``train`` of a preset and returns the exit status. Raises UsageError.
 
-    ``asked`` is what a file says, as arguments of ``plan``; flags go before it.
+    ``asked`` is what ``file`` says, as arguments of ``plan``; flags go before it.
     """
     check(options)
     given = {**(asked or {}), **flags.given_values(chosen, options)}
-    for name, value in (("root_seed", options.seed), ("prng", options.prng)):
+    for name, value in (("seed", options.seed), ("prng", options.prng)):
         given = given | ({name: value} if value is not None else {})
     if command == "sweep":
         if options.keep is not None and options.keep < 1:
@@ -43,7 +49,7 @@ def run(command: str, chosen: Preset, options: argparse.Namespace, asked: dict[s
     try:
         planned = plan(**{"name": chosen.name, **given})
     except ValueError as error:
-        raise UsageError(str(error)) from None
+        raise UsageError(f"{file}: {error}" if file else str(error)) from None
     if options.dry_run:
         return _dry_run(planned, options)
     name = planned.default_name() if command == "sweep" else f"train-{planned.default_name()}"

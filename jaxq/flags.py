@@ -56,12 +56,12 @@ class Once(argparse.Action):
     """Stores a value and refuses a second one, where argparse would let the last one win."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
-        given = vars(namespace).setdefault("given", set())
+        given = vars(namespace).setdefault("given", {})  # in the order of the words, which is that of the axes
         if self.dest in given:
             raise UsageError(
                 f"{option_string} stands twice{'; several values follow one flag' if self.nargs == '+' else ''}"
             )
-        given.add(self.dest)
+        given[self.dest] = values
         setattr(namespace, self.dest, values)
 
 
@@ -223,6 +223,9 @@ def read(made: argparse.ArgumentParser, words: Sequence[str], what: str) -> argp
         raise UsageError(f"{unknown[0]!r} is one value too many{f' for {last}' if last else ''}")
     flag = flag.split("=")[0]
     known = [flag for action in made._actions for flag in action.option_strings]
+    if flag.startswith("--env."):
+        known = [one for one in known if one.startswith("--env.")]
+        raise UsageError(f"{flag} is unknown to {what}{nearest(flag, known)}")
     near = nearest(flag, known) if difflib.get_close_matches(flag, known) else "; --help lists the flags"
     raise UsageError(f"{flag} is unknown to {what}{near}")
 
@@ -242,10 +245,13 @@ def _add_flag(group: Any, name: str, info: FieldInfo, default: Any, several: boo
 def given_values(chosen: Preset, options: argparse.Namespace) -> dict[str, Any]:
     """The settings that were given, each a Range, or a list of what the preset's model reads."""
     given: dict[str, Any] = {}
-    for name, raw in vars(options).items():
-        if name.startswith("set_") and raw is not None:
+    for name, raw in getattr(options, "given", {}).items():
+        if name.startswith("set_"):
             name = name.removeprefix("set_")
-            words = raw if isinstance(raw, list) else [raw]
+            if not isinstance(raw, list):  # of a train, which has one setting
+                given[name] = raw
+                continue
+            words = raw
             ranges = [word for word in words if re.fullmatch(r"[^:]+:[^:]+(:[^:]*)?", word)]
             if ranges and len(words) > 1:
                 raise UsageError(f"{name}: {ranges[0]} is not allowed beside other values")

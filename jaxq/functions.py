@@ -24,6 +24,7 @@ from jaxq.axes import Range
 from jaxq.experiment import FINISHED, Log
 from jaxq.plans import Plan
 from jaxq.programs import Program
+from jaxq.requests import axis, whole
 from jaxq.settings import Settings, changed, number, structure
 from jaxq.types import Array, Clock, Experiment, Hypers, Key
 
@@ -58,7 +59,7 @@ def plan(
     fn: Callable[..., Any],
     *,
     seeds: int = 1,
-    root_seed: int = 0,
+    seed: int = 0,
     prng: str = "threefry",
     method: str | None = None,
     samples: int | None = None,
@@ -71,9 +72,8 @@ def plan(
 
     Raises ValueError that names the field, the value and what is allowed.
     """
-    if isinstance(width, bool) or not isinstance(width, int) or not 1 <= width <= 2**20:
-        raise ValueError(f"width: {width!r} is not allowed: an integer from 1 to {2**20}")
-    values, settings = _plain(values), _plain(settings)
+    whole("width", width, 1, 2**20)
+    values, settings = _plain({name: axis(value) for name, value in values.items()}), _plain(settings)
     kind = _kind(fn, width, values, settings)
     defaults = kind.model_construct()
 
@@ -85,7 +85,7 @@ def plan(
         settled,
         values,
         seeds=seeds,
-        root_seed=root_seed,
+        seed=seed,
         prng=prng,
         method=method,
         samples=samples,
@@ -105,12 +105,12 @@ def _plain(value: Any) -> Any:
 
 def _kind(fn: Callable[..., Any], width: int, values: Mapping[str, Any], settings: Any) -> type[FunctionSettings]:
     """A record with a field per value; its defaults are the first values."""
-    several = {name: value if isinstance(value, list) else [value] for name, value in values.items()}
+    several = {name: [found] if isinstance(found, Range) else found for name, found in values.items()}
     listed = [one for one in settings if isinstance(one, dict)] if isinstance(settings, (list, tuple)) else []
     for name in dict.fromkeys(name for one in listed for name in one):
-        if not all(name in one for one in listed):
+        if name not in several and not all(name in one for one in listed):
             raise ValueError(f"{name}: is not a value of every setting")
-        several.setdefault(name, [one[name] for one in listed])
+        several[name] = [*several.get(name, []), *(one[name] for one in listed if name in one)]
     fields: dict[str, Any] = {}
     for name, found in several.items():
         if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):

@@ -192,7 +192,7 @@ def preset(name: str) -> Preset:
     for candidate in _PRESETS:
         if candidate.name == name:
             return candidate
-    raise ValueError(f"preset: {name!r} is unknown{nearest(name, [p.name for p in _PRESETS])}")
+    raise ValueError(f"preset: {name!r} is unknown{nearest(str(name), [p.name for p in _PRESETS])}")
 
 
 def settle(base: Preset, **overrides: Any) -> Any:

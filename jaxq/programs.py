@@ -184,7 +184,14 @@ def _world(world: World) -> Callable[[Any], Env]:
         factory, _ = registered(world.id)
         return lambda numbers: factory(numbers, **options)
     own = world.factory
-    return lambda numbers: own(**numbers, **options)
+
+    def make(numbers: Any) -> Env:
+        env = own(**numbers, **options)
+        if not isinstance(env, Env):
+            raise ValueError(f"env: {world} made {env!r}, which is no jaxq.types.Env")
+        return env
+
+    return make
 
 
 def _numbers(world: World) -> Any:

@@ -47,8 +47,8 @@ class Display:
             earlier = f", {self.earlier} of them earlier" if self.earlier else ""
             self.say(
                 f"{last.done} of {self.plan.lanes} lanes, {last.solved} solved, {last.diverged} diverged{earlier};"
-                f" {last.env_steps} env steps{' now' if earlier else ''} in {seconds:.1f} s,"
-                f" {_rate(last.env_steps, seconds)}"
+                f" {last.env_steps} env steps{' now' if earlier else ''} in {seconds:.1f} s"
+                + (f", {_rate(last.env_steps, seconds)}" if seconds >= 0.05 else "")
             )
 
     def say(self, text: str) -> None:
@@ -84,7 +84,7 @@ class Display:
 
 
 def _rate(count: int, seconds: float) -> str:
-    rate = count / seconds if seconds > 0.05 else 0.0
+    rate = count / max(seconds, 0.05)
     for unit, size in (("M", 1e6), ("k", 1e3)):
         if rate >= size:
             return f"{rate / size:.1f} {unit} env steps/s"

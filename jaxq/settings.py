@@ -4,7 +4,8 @@ the program. Imports no jax.
 
 from __future__ import annotations
 
-from typing import Any, get_args, get_origin
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
@@ -73,6 +74,8 @@ class Settings(BaseModel):
             return given
         read = dict(given)
         for name, value in given.items():
+            if isinstance(value, bool) and name in cls.model_fields and is_number(cls.model_fields[name]):
+                raise ValueError(f"{name}: {value} is not allowed: a number")
             if isinstance(value, str) and name in cls.model_fields:
                 kind = cls.model_fields[name].annotation
                 if get_origin(kind) is tuple:
@@ -92,6 +95,13 @@ class Settings(BaseModel):
             if isinstance(value, int) and not -(2**31) <= value < 2**31:
                 raise ValueError(f"{name}: {value} is not allowed: a whole number of 32 bits")
         return self
+
+
+def is_number(info: FieldInfo) -> bool:
+    """Whether the field holds a number, or a number or none."""
+    kind = info.annotation
+    kinds = set(get_args(kind)) if get_origin(kind) in (Union, UnionType) else {kind}
+    return kinds != {type(None)} and kinds <= {int, float, type(None)}
 
 
 def shown(value: Any) -> str:
@@ -115,6 +125,9 @@ _ALLOWED = {
     "int_parsing": "a whole number",
     "int_from_float": "a whole number",
     "float_parsing": "a number",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "tuple_type": "whole numbers, as in 64,64 or [64, 64]",
 }
 
 
@@ -125,5 +138,7 @@ def _one_line(error: ValidationError) -> str:
     where = str(first["loc"][0])  # of a tuple pydantic names the part as well, or the first that is not there
     value = first["input"]
     shown = ",".join(map(str, value)) if isinstance(value, tuple) else value if str(value).strip() else repr(value)
+    if isinstance(value, (tuple, list)) and first["type"] in ("float_type", "int_type"):
+        return f"{where}: {shown} is not allowed: one number; several are an axis, in a list or as values = [...]"
     message = _ALLOWED.get(first["type"]) or f"{first['msg'][0].lower()}{first['msg'][1:]}"
     return f"{where}: {shown} is not allowed: {message}"

@@ -36,7 +36,7 @@ from jaxq.worlds import World
 _KEYS = {
     "preset": "name",
     "seeds": "seeds",
-    "seed": "root_seed",
+    "seed": "seed",
     "prng": "prng",
     "env": "env",
     "method": "method",
@@ -53,7 +53,7 @@ def read(path: Path) -> dict[str, Any]:
     Raises ValueError, which names the file and the key, for one that cannot be read or says what no sweep has.
     """
     try:
-        found = tomllib.loads(path.read_text(encoding="utf-8"))
+        found = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -130,7 +130,7 @@ def _named(table: Mapping[str, Any]) -> dict[str, Any]:
             named[name] = value
     taken = [name for name in named if name in {*_KEYS.values()} - {"env"}]
     if taken:
-        raise ValueError(f"{taken[0]}: is no parameter")
+        raise ValueError(f"{taken[0]}: is no parameter: it stands above them")
     return named
 
 

@@ -13,6 +13,7 @@ from jaxq.compile_cache import CompileCache
 from jaxq.memory_run import MemoryRun
 from jaxq.outcome import Outcome
 from jaxq.plans import Plan, plan
+from jaxq.requests import whole
 from jaxq.runs import RunDirectory
 from jaxq.stages import Listeners, Sweep
 from jaxq.store import Store
@@ -69,13 +70,17 @@ def sweep(
     """Runs a preset over its axes, times ``seeds`` seeds, and returns its tables.
 
     ``jaxq.sweep("article-q", gamma=[0.95, 0.99], seeds=32).summary()``. ``values`` are those of ``plan``: axes, fixed
-    values, ``seeds``, ``root_seed``, ``prng``, ``method``, ``samples``, ``settings``, ``halving``, ``env``. Instead of
+    values, ``seeds``, ``seed``, ``prng``, ``method``, ``samples``, ``settings``, ``halving``, ``env``. Instead of
     a preset ``name`` may be a pure function ``fn(key, hypers) -> pytree``: see ``functions``. With ``out`` the run is
     kept in that directory, as by the command line; ``resume``, ``overwrite``, ``allow_mismatch``, ``keep`` and
     ``keep_episodes`` are its flags. Nothing compiled is kept on disk unless a ``cache`` is given, such as
     ``jaxq.compile_cache.user_cache()``. Raises ValueError as ``plan`` does, RunError for a directory that cannot be
     used, and MemoryError, before anything runs, for a preset's lanes that would not fit.
     """
+    if workers is not None:
+        whole("workers", workers, 1, 2**20)
+    if keep is not None:
+        whole("keep", keep, 1, 2**31)
     if callable(name):
         planned = functions.plan(name, **values)
     else:
@@ -84,19 +89,25 @@ def sweep(
     with contextlib.ExitStack() as stack:
         directory = None
         if out is not None:
-            asked = {"resume": resume, "overwrite": overwrite, "allow_mismatch": allow_mismatch}
-            directory = stack.enter_context(RunDirectory.open(Path(out), planned, **asked))
+            opened = RunDirectory.open(
+                Path(out), planned, resume=resume, overwrite=overwrite, allow_mismatch=allow_mismatch
+            )
+            directory = stack.enter_context(opened)
         return run(planned, directory=directory, keep=keep, keep_episodes=keep_episodes, workers=workers, cache=cache)
 
 
 def train(
-    name: str, *, root_seed: int = 0, prng: str | None = None, cache: CompileCache | None = None, **values: Any
+    name: str, *, seed: int = 0, prng: str | None = None, cache: CompileCache | None = None, **values: Any
 ) -> Result:
     """Trains one lane of a preset and returns it with its episodes, its policy and the value of every update.
 
     ``jaxq.train("article-q").episodes.length``. ``cache`` as for ``sweep``. Raises ValueError as ``plan`` does.
     """
     kept: list[Result] = []
-    planned = plan(name, root_seed=root_seed, prng=prng, **values)
+    planned = plan(name, seed=seed, prng=prng, **values)
+    if planned.lanes != 1:
+        raise ValueError(
+            f"{planned.name}: {planned.lanes} lanes are not one: train takes one value of each, as sweep does not"
+        )
     run(planned, keep_max_q=True, cache=cache, tell=Listeners(result=kept.append))
     return kept[0]

@@ -16,7 +16,7 @@ LAYERS = [
     ["types", "families", "suggest", "cpu", "machine", "run_files", "streams", "exits", "sources", "bench.worker"],
     ["bench.contest", "bench.report", "bench.memory", "bench.affinity", "bench"],
     ["settings", "axes"],
-    ["worlds"],
+    ["worlds", "requests"],
     ["prng", "elementary", "rules", "policies", "presets"],
     ["schedules"],
     [

@@ -246,7 +246,7 @@ def test_a_larger_sweep_keeps_the_rows_that_are_there_and_runs_the_others(tmp_pa
         (faults.tables(gamma=[0.5, 0.9, 0.99], seeds=4), "is [0.5, 0.9, 0.99]"),
         (faults.tables(gamma=0.9, seeds=4), "gamma was [0.9, 0.99], is 0.9"),
         (faults.tables(gamma=[0.9, 0.99], seeds=4, alpha_min=0.2), "alpha_min was 0.1, is 0.2"),
-        (faults.tables(gamma=[0.9, 0.99], seeds=4, root_seed=7), "root_seed was 0, is 7"),
+        (faults.tables(gamma=[0.9, 0.99], seeds=4, seed=7), "root_seed was 0, is 7"),
         (faults.tables(gamma=[0.9, 0.99], seeds=4, prng="threefry"), "prng was pcg4d, is threefry"),
         (faults.tables(gamma=[0.9, 0.99], seeds=4, halving=2), "halving was None, is 2"),
         (faults.tables(gamma=[0.9, 0.99], seeds=4, **{"env.length": 0.6}), "env.length was 0.5, is 0.6"),

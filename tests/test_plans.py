@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 
+import numpy as np
 import pytest
 
 from jaxq import axes
@@ -29,7 +30,7 @@ def settings_of(name, points):
 )
 def test_the_settings_are_the_points_of_the_axes(method, values):
     samples = None if method == "grid" else 12
-    planned = plan("article-dqn", method=method, samples=samples, root_seed=5, seeds=3, tau=0.5, **values)
+    planned = plan("article-dqn", method=method, samples=samples, seed=5, seeds=3, tau=0.5, **values)
     wanted = axes.points(values, method, samples or 0, seed=5)
     assert planned.settings == settings_of("article-dqn", [{**point, "tau": 0.5} for point in wanted])
     assert planned.lanes == 3 * len(wanted)
@@ -133,7 +134,7 @@ def test_a_hash_differs_with_everything_that_decides_a_row_and_with_nothing_else
     base = {"gamma": GAMMAS, "seeds": 2}
     changes = [
         {"seeds": 3},
-        {"root_seed": 1},
+        {"seed": 1},
         {"prng": "threefry"},
         {"gamma": [0.9, 0.98]},
         {"gamma": [0.99, 0.9]},
@@ -174,7 +175,7 @@ TWO = {"gamma": GAMMAS}
     [
         ({"seeds": MAX_SEEDS + 1}, f"seeds: {MAX_SEEDS + 1} is not allowed: an integer from 1 to {MAX_SEEDS}"),
         ({"seeds": "3"}, "seeds: '3' is not allowed"),
-        ({"root_seed": 2**32}, f"seed: {2**32} is not allowed: an integer from 0 to {2**32 - 1}"),
+        ({"seed": 2**32}, f"seed: {2**32} is not allowed: an integer from 0 to {2**32 - 1}"),
         ({**TWO, "halving": 1}, "halving: 1 is not allowed: an integer from 2"),
         ({**TWO, "halving": 2.0}, "halving: 2.0 is not allowed"),
         ({**TWO, "halving": 3}, "halving: 3 is not allowed: at most as many as there are settings, 2"),
@@ -192,7 +193,13 @@ TWO = {"gamma": GAMMAS}
         ({"settings": 3}, "settings: 3 is not allowed"),
         ({"settings": [3]}, "settings: [3] is not allowed"),
         ({"settings": {"gamma": 0.9}}, "settings: {'gamma': 0.9} is not allowed"),
-        ({"settings": [{"gamma": 0.9}], "gamma": 0.8}, "gamma: stands beside the settings and in one of them"),
+        ({"gamma": True}, "gamma: True is not allowed: a number"),
+        ({"env.length": [0.5, False]}, "env.length: False is not allowed: a number"),
+        ({"batch_size": True}, "batch_size: True is not allowed: a number"),
+        ({"gamma": (0.9, 0.95)}, "gamma: 0.9,0.95 is not allowed: one number; several are an axis, in a list"),
+        ({"gamma": [0.9, 0.9000000001]}, "gamma: 0.9000000001 stands twice"),
+        ({"hidden": 64}, "hidden: 64 is not allowed: whole numbers, as in 64,64"),
+        ({"hidden": Range(64, 128)}, "hidden: 64:128 is not allowed: it takes no range"),
         ({"settings": [{"gamma": 0.9}], "tau": [0.1, 0.2]}, "tau: an axis is not allowed beside settings"),
         ({"settings": [{"gama": 0.9}]}, "gama: article-dqn has no such setting; did you mean 'gamma'"),
         ({"settings": [{"gamma": 0.9}, {"gamma": 1.5}]}, "gamma: 1.5 is not allowed: input should be less than"),
@@ -205,7 +212,7 @@ TWO = {"gamma": GAMMAS}
         ({"gamma": Range(0.5, 1.5)}, "gamma: 1.5 is not allowed: input should be less than or equal to 1"),
         ({"learning_rate": Range(-1.0, 1.0)}, "learning_rate: -1.0 is not allowed: input should be greater than 0"),
         ({"batch_size": Range(8.0, 16.0)}, "batch_size: 8.0 is not allowed: a whole number"),
-        ({"double": Range(0, 1)}, "double: a range is not allowed: give its values"),
+        ({"double": Range(0, 1)}, "double: 0:1 is not allowed: it takes no range"),
         ({"learning_rate": RATES, "method": "grid"}, "learning_rate: a range needs the method random or sobol"),
         ({"env.length": -1.0}, "env.length: -1.0 is not allowed"),
         ({"env.lenght": 0.5}, "env.lenght: article-dqn has no such setting; did you mean 'env.length'"),
@@ -227,3 +234,15 @@ def test_a_grid_of_more_than_a_million_settings_is_refused_before_it_is_made():
     many = [i / 2000 for i in range(1001)]
     with pytest.raises(ValueError, match="settings: 1002001 is not allowed: at most 1000000"):
         plan("article-dqn", gamma=many, tau=many)
+
+
+def test_an_array_and_a_range_of_python_are_axes():
+    listed = plan("article-dqn", gamma=[0.5, 0.75], batch_size=[8, 16])
+    assert plan("article-dqn", gamma=np.linspace(0.5, 0.75, 2), batch_size=range(8, 17, 8)) == listed
+    assert plan("article-dqn", gamma=np.float64(0.5)).settings == plan("article-dqn", gamma=0.5).settings
+
+
+def test_a_listed_setting_goes_before_what_holds_for_all():
+    made = plan("article-dqn", gamma=0.8, tau=0.1, settings=[{"gamma": 0.9}, {"tau": 0.5}])
+    assert [(one.gamma, one.tau) for one in made.settings] == [(0.9, 0.1), (0.8, 0.5)]
+    assert made.varied == ("gamma", "tau")

@@ -131,7 +131,7 @@ def test_a_plan_is_known_by_all_that_decides_its_result():
     others = [
         plan("q-learning", seeds=2),
         plan("article-q", seeds=3),
-        plan("article-q", seeds=2, root_seed=1),
+        plan("article-q", seeds=2, seed=1),
         plan("article-q", seeds=2, gamma=0.98),
         plan("article-q", seeds=2, prng="threefry"),
     ]

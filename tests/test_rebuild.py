@@ -34,7 +34,7 @@ def killed(tmp_path):
 @pytest.mark.parametrize(
     "other",
     [
-        faults.tables(gamma=[0.9, 0.99], seeds=4, root_seed=1),
+        faults.tables(gamma=[0.9, 0.99], seeds=4, seed=1),
         faults.tables(gamma=[0.9, 0.99], seeds=4, halving=2),
         faults.tables(gamma=[0.5, 0.98], seeds=4),
         faults.networks(gamma=[0.9, 0.99], seeds=4),

@@ -61,7 +61,7 @@ def requests(draw):
         values["settings"] = [{}, *({"tau": i / 10, **made} for i, made in enumerate(listed))]
     elif method in ("random", "sobol") and draw(st.booleans()):
         values["samples"] = draw(st.integers(1, 9))
-    for name, kind in (("seeds", st.integers(1, 5)), ("root_seed", st.integers(0, 2**32 - 1))):
+    for name, kind in (("seeds", st.integers(1, 5)), ("seed", st.integers(0, 2**32 - 1))):
         if draw(st.booleans()):
             values[name] = draw(kind)
     values |= draw(st.sampled_from([{}, {"env": "CartPole-v1"}, {"prng": "threefry"}]))
@@ -121,7 +121,7 @@ values = [0.25, 0.5]
 """
 SAME = {
     "seeds": 16,
-    "root_seed": 3,
+    "seed": 3,
     "method": "sobol",
     "samples": 8,
     "gamma": 0.99,
@@ -189,7 +189,7 @@ WRONG = [
     ("halving = 2", "halving: 2 is not allowed: at most as many"),
     ("seeds =", "is not TOML"),
     ("seeds = 1\nseeds = 2", "is not TOML"),
-    *((f"[parameters]\n{name} = 3", f"{name}: is no parameter") for name in ("seeds", "root_seed", "method", "rungs")),
+    *((f"[parameters]\n{name} = 3", f"{name}: is no parameter") for name in ("seeds", "seed", "method", "rungs")),
     ("[[settings]]\nsamples = 3", "samples: is no parameter"),
     ('[parameters]\n"ga\\nmma" = 3', "has no such setting"),
     ('[parameters]\ngamma = "a\\nb"', "gamma"),
