@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 import safetensors.numpy
 
+import jaxq
 from jaxq.cli import main
 
 SHORT = ["--max-episodes", "60", "--success-steps", "30", "--success-streak", "2"]
@@ -276,6 +277,9 @@ def test_a_setting_whose_lanes_all_diverge_is_exit_1_and_said(capsys):
         (["sweep", "article-q", "--workers", "0"], "--workers: 0"),
         (["sweep", "article-q", "--resume", "--overwrite"], "--resume"),
         (["train", "article-q", "--gamma", "0.9", "0.99"], "0.99"),
+        (["train", "article-q", "--gamma", "0.9:0.95"], "gamma: 0.9:0.95 is not allowed: a number"),
+        (["sweep", "article-dqn", "--hidden", "64:128"], "hidden: 64:128 is not allowed: it takes no range"),
+        (["sweep", "article-q", "--env.lenght", "1"], "did you mean '--env.length'"),
         (["swep", "article-q"], "did you mean 'sweep'"),
         (["list", "everything"], "everything"),
         (["list", "--jso"], "--jso is unknown to jaxq list"),
@@ -340,7 +344,6 @@ def test_dry_run_says_what_would_run_and_runs_nothing(capsys):
 
 
 def test_version_list_and_help(capsys):
-    import jaxq
 
     with pytest.raises(SystemExit) as leaving:
         main(["--version"])
@@ -393,7 +396,6 @@ def test_importing_rows_needs_no_jaxq(swept):
 
 
 def test_the_library_gives_the_rows_of_the_command_line(swept):
-    import jaxq
 
     _, out, _ = swept
     numbers = {"max_episodes": 60, "success_steps": 30, "success_streak": 2}
@@ -433,3 +435,49 @@ def test_a_last_update_that_blows_up_is_a_divergence(capsys):
     status, out = sweep_json(capsys, *words, "--seeds", "2")
     assert status == 1
     assert {(row["status"], row["updates"], row["eval_return"]) for row in out["lanes"]} == {("diverged", 1, None)}
+
+
+def test_axes_stand_in_the_order_of_the_words(capsys):
+    orders = []
+    for words in (
+        ["--gamma", "0.9", "0.95", "--alpha-min", "0.1", "0.2"],
+        ["--alpha-min", "0.1", "0.2", "--gamma", "0.9", "0.95"],
+    ):
+        status, out = sweep_json(capsys, "article-q", *words, "--max-episodes", "2", "--seeds", "1")
+        assert status == 0
+        orders.append([(row["gamma"], row["alpha_min"]) for row in out["lanes"]])
+    assert orders[0] == [(0.9, 0.1), (0.9, 0.2), (0.95, 0.1), (0.95, 0.2)]
+    assert orders[1] == [(0.9, 0.1), (0.95, 0.1), (0.9, 0.2), (0.95, 0.2)]
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"workers": 0}, "workers: 0 is not allowed: an integer from 1"),
+        ({"workers": 1.5}, "workers: 1.5 is not allowed"),
+        ({"keep": 0}, "keep: 0 is not allowed"),
+        ({"keep": "a"}, "keep: 'a' is not allowed"),
+    ],
+)
+def test_the_library_refuses_what_the_command_line_refuses(values, said):
+    with pytest.raises(ValueError, match=said):
+        jaxq.sweep("article-q", **values)
+
+
+def test_a_train_is_one_lane():
+    with pytest.raises(ValueError, match="article-q: 2 lanes are not one"):
+        jaxq.train("article-q", gamma=[0.9, 0.95])
+
+
+@pytest.mark.parametrize("name", [3, None])
+def test_a_preset_that_is_no_word_is_unknown(name):
+    with pytest.raises(ValueError, match=f"preset: {name} is unknown"):
+        jaxq.sweep(name)
+
+
+def test_a_function_that_makes_no_environment_is_named():
+    def made(length=0.5):
+        return length
+
+    with pytest.raises(ValueError, match=r"env: .*made made .*, which is no jaxq\.types\.Env"):
+        jaxq.sweep("article-dqn", env=made)

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from functools import partial
+from pathlib import Path
 
 import pytest
 import tomli_w
@@ -284,3 +285,17 @@ def test_a_bad_file_is_exit_2_and_one_line_and_leaves_nothing(text, said, dry):
     assert (status, out) == (2, "")
     assert said in err
     assert len(err.strip().splitlines()) == 1
+
+
+def test_what_no_plan_allows_names_the_file_too(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text("preset = 'article-q'\n[parameters]\ngamma = [0.9, 0.95]\n")
+    assert main(["sweep", "s.toml"]) == 2
+    assert capsys.readouterr().err.startswith(
+        "jaxq: error: s.toml: gamma: 0.9,0.95 is not allowed: one number; several"
+    )
+
+
+def test_a_byte_order_mark_is_no_mistake(tmp_path):
+    (tmp_path / "s.toml").write_text("preset = 'article-q'\n", encoding="utf-8-sig")
+    assert sweep_files.load(tmp_path / "s.toml") == plan("article-q")
