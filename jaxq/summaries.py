@@ -28,6 +28,8 @@ def summary(lanes: pa.Table, varied: Sequence[str], threshold: float | None = No
     lanes are counted, take part in the shares and times, and have no return. ``stopped`` lanes have the returns that
     they had then, at ``stopped_at_rung``, which is None for a setting that went to the end.
     """
+    if not len(lanes):
+        return []
     if outputs(lanes) is not None:
         return _of_outputs(lanes, varied)
     columns = {name: lanes[name] for name in lanes.column_names}
@@ -56,16 +58,17 @@ def _of_outputs(lanes: pa.Table, varied: Sequence[str]) -> list[Row]:
     return rows
 
 
-def _is_number(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind))
-
-
 def outputs(lanes: pa.Table) -> list[str] | None:
     """The numbers that a function of the user's own returned, by name; None for lanes of trainings."""
     names = lanes.column_names
     if "stopped_at_rung" in names or "status" not in names:
         return None
-    return [name for name in names[names.index("status") + 1 :] if _is_number(lanes[name].type)]
+    return [name for name in names[names.index("status") + 1 :] if is_number(lanes[name].type)]
+
+
+def is_number(kind: pa.DataType) -> bool:
+    """Whether a column holds a number, or a truth value, per row."""
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind))
 
 
 def best(rows: Sequence[Row], metric: str | None = None) -> Row:

@@ -39,7 +39,7 @@ LAYERS = [
     ["workers", "store"],
     ["lanes", "parts"],
     ["memory_run", "batches", "repair", "estimate", "tensorboard"],
-    ["runs", "pictures.columns", "pictures.dress", "report", "progress", "flags", "bench.solved"],
+    ["runs", "pictures.columns", "pictures.dress", "pictures.scales", "report", "progress", "flags", "bench.solved"],
     ["pictures.training", "pictures.curves", "pictures.axes", "pictures.survival", "pictures.spread"],
     ["pictures.policy"],
     ["pictures"],

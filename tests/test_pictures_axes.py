@@ -22,7 +22,8 @@ from test_pictures_tables import (
     ticks,
 )
 
-from jaxq import pictures, stats
+from jaxq import axes, pictures, stats
+from jaxq.axes import Range
 
 GRID = product(learning_rate=[1e-4, 1e-3, 1e-2], gamma=[0.95, 0.99])
 WORDS = product(hidden=["64,64", "128,128", "256"], double=[False, True])
@@ -91,6 +92,8 @@ def test_numbers_of_their_own_stand_where_they_are():
         ([0.9, 0.99], "linear"),
         ([0.0, 1.0], "linear"),
         ([-1.0, 100.0], "linear"),
+        ([1e-4, 3e-4, 1e-3, 3e-3, 1e-2], "log"),
+        ([1, 25, 50, 75, 100], "linear"),
     ],
 )
 def test_the_scale_is_logarithmic_where_positive_values_span_much_and_each_value_has_its_tick(values, scale):
@@ -221,6 +224,44 @@ def test_scattered_values_are_dots_in_the_colour_of_the_metric(settings, x, y):
     assert not axes.texts
 
 
+@pytest.mark.parametrize(("drawn_from", "scale"), [("linear", "linear"), ("log", "log")])
+@pytest.mark.parametrize("settings", [10, 150])
+def test_what_was_drawn_from_a_range_has_the_ranges_scale(drawn_from, scale, settings):
+    points = axes.points({"decay": Range(5.0, 75.0, drawn_from)}, "sobol", settings, 0)
+    found = drawn(pictures.sensitivity(swept(points, 2), "decay", ["decay"])).axes[0]
+    assert found.get_xscale() == scale
+
+
+def test_settings_that_were_stopped_have_crosses_and_this_is_said():
+    says = "12 of 18 lanes were stopped at a rung: they have their return of then"
+    lanes = swept(GRID, 3, status="solved", went=2)
+    figure = drawn(pictures.sensitivity(lanes, "gamma", list(GRID[0])))
+    heights = [one.value for one in by_setting(lanes)]
+    dots, crosses, _ = figure.axes[0].lines
+    assert (dots.get_marker(), crosses.get_marker()) == (".", "x")
+    np.testing.assert_allclose(dots.get_ydata(), heights[:2])
+    np.testing.assert_allclose(crosses.get_ydata(), heights[2:])
+    assert keys(figure)[1].startswith("a setting that was stopped at a rung")
+    assert note(figure) == says
+    figure = drawn(pictures.heat_map(lanes, "learning_rate", "gamma"))
+    (crosses,) = (one for one in figure.axes[0].collections if isinstance(one, PathCollection))
+    assert sorted(map(tuple, np.round(crosses.get_offsets()).tolist())) == [(1, 0), (1, 1), (2, 0), (2, 1)]
+    assert keys(figure) == ["every setting of the cell was stopped at a rung"]
+    assert note(figure) == says
+
+
+def test_scattered_settings_that_were_stopped_are_crosses_in_the_colours_of_the_others():
+    rows = sobol(30)
+    lanes = swept(rows, 3, status="solved", went=10)
+    figure = drawn(pictures.heat_map(lanes, "learning_rate", "gamma"))
+    crosses, dots = (one for one in figure.axes[0].collections if isinstance(one, PathCollection))
+    heights = np.array([one.value for one in by_setting(lanes)])
+    np.testing.assert_allclose(dots.get_array(), np.sort(heights[:10]))
+    np.testing.assert_allclose(crosses.get_array(), np.sort(heights[10:]))
+    assert crosses.get_clim() == dots.get_clim() == (heights.min(), heights.max())
+    assert keys(figure) == ["a setting that was stopped at a rung"]
+
+
 def test_diverged_lanes_are_said_in_every_picture():
     rows = [lane(c, s, gamma=(0.9, 0.99)[c], x=c) for c in range(2) for s in range(3)]
     rows[0] |= {"status": "diverged", "eval_return": None}
@@ -245,6 +286,8 @@ ODD = {
     "one seed": (GRID, 1, {}),
     "one setting": (product(learning_rate=[1e-3], gamma=[0.99]), 8, {}),
     "one lane": (product(learning_rate=[1e-3], gamma=[0.99]), 1, {}),
+    "halved": (GRID, 4, {"went": 2}),
+    "stopped": (GRID, 4, {"status": "stopped"}),
     "words": (product(learning_rate=["a" * 90, "b_" * 40, "c"], gamma=[True, None]), 3, {}),
 }
 

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from jaxq.pictures.columns import by_setting, can_rank, metric_of, numbers
+from jaxq.pictures.columns import by_setting, can_rank, metric_of, numbers, rungs
 
 NAN, INF = math.nan, math.inf
 LIMIT = 100_000
@@ -77,14 +77,18 @@ def sobol(settings):
     ]
 
 
-def swept(settings, seeds, status=None, **other):
-    """Lanes of settings; returns and statuses by chance unless all have one status."""
+def swept(settings, seeds, status=None, went=None, **other):
+    """Lanes of settings; returns and statuses by chance unless all have one status. With halving the first ``went``
+    settings went on, and the others were stopped at rung 0.
+    """
     rng = np.random.default_rng(1)
     rows = []
     for config, setting in enumerate(settings):
         for seed in range(seeds):
-            which = status or str(rng.choice(["solved", "finished", "diverged", "stopped"], p=[0.6, 0.3, 0.05, 0.05]))
+            which = status or str(rng.choice(["solved", "finished", "diverged"], p=[0.6, 0.3, 0.1]))
             steps = LIMIT if which == "finished" else int(rng.integers(1000, LIMIT))
+            if went is not None and config >= went:
+                which, steps = "stopped", 1000
             rows.append(lane(config, seed, steps, status=which, value=float(rng.uniform(9, 500)), **setting, **other))
     return table(rows)
 
@@ -166,6 +170,12 @@ def test_rows_by_setting_are_in_the_order_of_the_settings_whatever_that_of_the_t
     assert by_setting(EMPTY_LANES) == {}
 
 
+def test_a_setting_came_as_far_as_the_last_rung_that_stopped_a_lane_of_it():
+    rows = [lane(0, 0), lane(1, 0), lane(1, 1, status="stopped"), lane(2, 0, status="stopped", stopped_at_rung=3)]
+    assert rungs(table(rows)) == {0: INF, 1: 0.0, 2: 3.0}
+    assert rungs(pa.table({"config": [0, 1], "seed": [0, 0], "status": ["finished"] * 2})) == {0: INF, 1: INF}
+
+
 def test_one_seed_ranks_nothing():
     assert can_rank({0: np.arange(2), 1: np.arange(3)})
     assert not can_rank({0: np.arange(2), 1: np.arange(1)})
@@ -185,7 +195,9 @@ def test_a_lane_without_a_return_counts_as_the_worst_and_this_is_said():
     lanes = table([lane(0, 0), lane(0, 1, status="stopped", eval_return=None), lane(0, 2, status="diverged")])
     found = metric_of(lanes, "eval_return")
     assert found.values.tolist() == [100.0, 0.0, 0.0]
-    assert found.note == "1 of 3 lanes diverged, 1 of 3 lanes have no greedy return and count as the worst"
+    worst, stopped = found.note.split("\n")
+    assert worst == "1 of 3 lanes diverged, 1 of 3 lanes have no greedy return and count as the worst"
+    assert stopped == "1 of 3 lanes were stopped at a rung: they have their return of then"
 
 
 def test_the_training_return_stands_in_where_there_is_no_greedy_one():
@@ -206,6 +218,8 @@ def test_a_lane_that_was_never_solved_counts_as_the_longest():
     assert found.note == "2 of 3 lanes were not solved and count as the longest"
     assert not found.more_is_better
     assert metric_of(lanes, "solved_at_episode").values.tolist() == [50.0, 200.0, 200.0]
+    found = metric_of(table([lane(0, 0, 500), lane(0, 1, 200, status="stopped")]), "solved_at_step")
+    assert found.note.startswith("1 of 2 lanes were not solved and count as the longest, 1 of them because a rung stop")
 
 
 def test_where_no_lane_was_solved_the_greedy_return_stands_in_for_the_time():
@@ -214,5 +228,11 @@ def test_where_no_lane_was_solved_the_greedy_return_stands_in_for_the_time():
 
 
 def test_a_metric_that_is_no_column_is_refused():
-    with pytest.raises(ValueError, match="metric: 'reward' is no column"):
+    with pytest.raises(
+        ValueError, match="metric: 'reward' is no column of numbers of the lanes; known: episodes, env_"
+    ):
         metric_of(table([lane(0, 0)]), "reward")
+    with pytest.raises(ValueError, match=r"'eval_retrun' is no column .*; did you mean 'eval_return'\?"):
+        metric_of(table([lane(0, 0)]), "eval_retrun")
+    with pytest.raises(ValueError, match="metric: 'many' is no column of numbers"):
+        metric_of(pa.table({"config": [0], "seed": [0], "status": ["finished"], "many": [[1.0]]}), "many")

@@ -118,6 +118,10 @@ def test_rows_come_in_the_order_of_the_settings_with_what_varied():
     assert [(row["config"], row["gamma"], row["seeds"]) for row in found] == [(0, 0.9, 1), (1, 0.99, 2)]
 
 
+def test_no_lanes_have_no_rows():
+    assert summaries.summary(pa.table({"config": pa.array([], pa.int64()), "seed": pa.array([], pa.int64())}), []) == []
+
+
 def settings(*values):
     names = ("eval_return", "eval_mean", "median_env_steps", "seeds")
     rows = [dict(zip(names, one, strict=True)) for one in values]

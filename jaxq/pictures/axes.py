@@ -2,38 +2,32 @@
 
 from __future__ import annotations
 
-import itertools
-import re
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import AutoLocator, EngFormatter, FixedLocator, FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import EngFormatter
 
 from jaxq import stats
-from jaxq.pictures.columns import by_setting, metric_of
-from jaxq.pictures.dress import COLOR_MAP, COLORS, LARGE, dress, measured, nothing, with_legend
+from jaxq.pictures.columns import by_setting, metric_of, rungs
+from jaxq.pictures.dress import COLOR_MAP, COLORS, LARGE, STOPPED, dress, measured, nothing, with_legend
+from jaxq.pictures.scales import FEW_VALUES, beside, label_of, places_of, ranks, scale
 
-#: Positive values that span more than this many times have a logarithmic scale.
-WIDE = 9
-#: An axis of more numbers than this is averaged in as many bins as ``BINS``, a grid of more cells has no numbers.
-FEW_VALUES, BINS, FEW_CELLS = 12, 8, 120
+#: An axis of more numbers than ``FEW_VALUES`` is averaged in so many bins, a grid of more cells has no numbers.
+BINS, FEW_CELLS = 8, 120
 #: More settings than this are dots without intervals.
 FEW_SETTINGS = 40
-#: Each of a few values has a tick where they are further apart than this part of the axis.
-CLOSE = 0.08
-#: Letters in a line of a tick's name, and in all of them side by side.
-LONGEST, ACROSS = 30, 62
 
 
 def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str = "eval_return") -> Figure:
     """The metric over one axis: a dot per setting, its interquartile mean over seeds (with its 95 % interval where
     there are few), and a line, the interquartile mean of all lanes with that value whatever else is ``varied``, or of
     an eighth of them where values are many; names are not joined by a line. Settings of one value stand beside each
-    other. Diverged lanes count as the worst, unsolved ones as the longest.
+    other. Diverged lanes count as the worst, unsolved ones as the longest. A setting that halving stopped has a cross.
     """
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes: Any = figure.subplots()
@@ -45,16 +39,23 @@ def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str =
     several = max(map(len, groups.values())) > 1
     dress(axes, f"{chosen.name} by {axis}", axis, _mean_of(chosen.name, several))
     measured(axes.yaxis, values)
-    places, names = _places(lanes[axis].to_pylist())
-    x = _beside(np.array([places[rows[0]] for rows in groups.values()]), names)
+    places, names = places_of(lanes[axis].to_pylist())
+    x = beside(np.array([places[rows[0]] for rows in groups.values()]), names)
     heights = np.array([estimate.value for estimate in estimates], float)
     few = len(groups) <= FEW_SETTINGS
-    handles = axes.plot(x, heights, ".", color="0.55", markersize=7 if few else 3, alpha=0.9 if few else 0.5, zorder=2)
-    labels = ["a setting" if several else "a setting, its one seed"]
+    ended = np.array([np.isinf(rung) for rung in rungs(lanes).values()])
+    look: dict[str, Any] = {"color": "0.55", "linestyle": "none", "alpha": 0.9 if few else 0.5, "zorder": 2}
+    handles, labels = [], []
+    if ended.any():
+        handles += axes.plot(x[ended], heights[ended], marker=".", markersize=7 if few else 3, **look)
+        labels.append("a setting" if several else "a setting, its one seed")
+    if not ended.all():
+        handles += axes.plot(x[~ended], heights[~ended], marker=STOPPED, markersize=5 if few else 3, **look)
+        labels.append("a setting that was stopped at a rung")
     if few and several:
         low, high = (np.array([getattr(one, end) for one in estimates], float) for end in ("low", "high"))
         axes.vlines(x, low, high, color="0.75", linewidth=1, zorder=1)
-        labels[0] += ", with its 95 % interval over seeds"
+        labels = [f"{label}, with its 95 % interval over seeds" for label in labels]
     at, middle, low, high, binned = _marginal(places, values, FEW_VALUES if names is None else len(names))
     if len(at) > 1 and len(groups) > len(at):
         line = "-" if names is None else "none"  # between names there is nothing
@@ -71,14 +72,14 @@ def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str =
             labels[-1] += ", 95 % interval"
         else:
             labels[-1] += ": interquartile mean"
-    _scale(axes, axes.xaxis, places, names)
+    scale(axes, axes.xaxis, places, names)
     return with_legend(figure, handles, labels, chosen.note)
 
 
 def heat_map(lanes: pa.Table, x: str, y: str, metric: str = "eval_return") -> Figure:
     """The metric over a pair of axes: where lanes have most pairs of values a cell per pair, the interquartile mean of
     all its lanes, with its number where cells are few; else a dot per setting. Diverged lanes count as the worst,
-    unsolved ones as the longest.
+    unsolved ones as the longest. A cross marks a setting, or a cell of settings, that halving stopped.
     """
     figure = Figure(figsize=(7, 5), layout="constrained")
     axes: Any = figure.subplots()
@@ -87,7 +88,7 @@ def heat_map(lanes: pa.Table, x: str, y: str, metric: str = "eval_return") -> Fi
     chosen, groups = metric_of(lanes, metric), by_setting(lanes)
     dress(axes, f"{chosen.name} by {x} and {y}", x, y)
     axes.grid(visible=False)
-    (across, columns), (up, rows) = (_ranks(lanes[name].to_pylist()) for name in (x, y))
+    (across, columns), (up, rows) = (ranks(lanes[name].to_pylist()) for name in (x, y))
     pair = up * len(columns) + across
     pairs = np.unique(pair)
     cells = 2 * len(pairs) > len(columns) * len(rows)
@@ -96,18 +97,21 @@ def heat_map(lanes: pa.Table, x: str, y: str, metric: str = "eval_return") -> Fi
         table = np.full(len(rows) * len(columns), np.nan)
         table[pairs] = means
         shown = _cells(axes, table.reshape(len(rows), len(columns)), columns, rows)
+        handles = _cross_out(axes, lanes, across, up)
+        label = "every setting of the cell was stopped at a rung"
     else:
-        shown = _dots(axes, lanes, x, y, chosen.values)
+        shown, handles = _dots(axes, lanes, x, y, chosen.values)
+        label = "a setting that was stopped at a rung"
     several = len(lanes) > (len(pairs) if cells else len(groups))
     bar = figure.colorbar(shown, ax=axes, label=_mean_of(chosen.name, several))
     measured(bar.ax.yaxis, chosen.values)
-    return with_legend(figure, [], [], chosen.note)
+    return with_legend(figure, handles, [label] * len(handles), chosen.note)
 
 
 def _cells(axes: Axes, cells: np.ndarray, columns: list[str], rows: list[str]) -> Any:
     shown = axes.imshow(cells, origin="lower", aspect="auto", cmap=COLOR_MAP)
-    _label(axes.xaxis, columns)
-    _label(axes.yaxis, rows)
+    label_of(axes.xaxis, columns)
+    label_of(axes.yaxis, rows)
     if cells.size <= FEW_CELLS:
         low, high = np.nanmin(cells), np.nanmax(cells)
         for (i, j), value in np.ndenumerate(cells):
@@ -117,18 +121,40 @@ def _cells(axes: Axes, cells: np.ndarray, columns: list[str], rows: list[str]) -
     return shown
 
 
-def _dots(axes: Axes, lanes: pa.Table, x: str, y: str, values: np.ndarray) -> Any:
+def _cross_out(axes: Axes, lanes: pa.Table, across: np.ndarray, up: np.ndarray) -> list[Artist]:
+    """Crosses in the corners of the cells none of whose settings went to the end, as a list of their one artist."""
+    far = rungs(lanes)
+    ended = np.isinf([far[config] for config in lanes["config"].to_pylist()])
+    went = set(zip(across[ended].tolist(), up[ended].tolist(), strict=True))
+    crossed = sorted(set(zip(across.tolist(), up.tolist(), strict=True)) - went)
+    if not crossed:
+        return []
+    at = np.array(crossed, float)
+    return [axes.scatter(at[:, 0] - 0.38, at[:, 1] + 0.38, c="0.6", marker=STOPPED, s=16, linewidths=1)]
+
+
+def _dots(axes: Axes, lanes: pa.Table, x: str, y: str, values: np.ndarray) -> tuple[Any, list[Artist]]:
+    """The dots, or what else carries their colours, and the crosses, if there are any."""
     groups = by_setting(lanes)
     heights = np.array([stats.interquartile_mean(values[rows].tolist()).value for rows in groups.values()], float)
     stands = []
     for name, axis in ((x, axes.xaxis), (y, axes.yaxis)):
-        places, names = _places(lanes[name].to_pylist())
-        stands.append(_beside(np.array([places[rows[0]] for rows in groups.values()]), names))
-        _scale(axes, axis, places, names)
+        places, names = places_of(lanes[name].to_pylist())
+        stands.append(beside(np.array([places[rows[0]] for rows in groups.values()]), names))
+        scale(axes, axis, places, names)
     order = np.argsort(heights)  # the best on top
+    ended = np.array([np.isinf(rung) for rung in rungs(lanes).values()])[order]
     size = 70 if len(order) <= 100 else 18
-    look: dict[str, Any] = {"cmap": COLOR_MAP, "s": size, "edgecolors": "0.3", "linewidths": 0.3}
-    return axes.scatter(stands[0][order], stands[1][order], c=heights[order], **look)
+    look: dict[str, Any] = {"cmap": COLOR_MAP, "vmin": heights.min(), "vmax": heights.max()}
+    crosses, dots = order[~ended], order[ended]
+    drawn: list[Any] = []
+    if len(crosses):
+        found = axes.scatter(
+            stands[0][crosses], stands[1][crosses], c=heights[crosses], marker=STOPPED, s=0.6 * size, **look
+        )
+        drawn.append(found)
+    look |= {"s": size, "edgecolors": "0.3", "linewidths": 0.3}
+    return axes.scatter(stands[0][dots], stands[1][dots], c=heights[dots], **look), drawn
 
 
 def _mean_of(name: str, several: bool) -> str:
@@ -157,112 +183,6 @@ def _marginal(
     found = [stats.interquartile_mean(part.tolist()) for part in _parts(which, values)]
     middle, low, high = np.array(found, float).T  # an end that does not exist is NaN
     return np.array(at), middle, low, high, binned
-
-
-def _places(column: list[Any]) -> tuple[np.ndarray, list[str] | None]:
-    """Where the values of an axis stand: numbers where they are, others side by side with their names as ticks."""
-    if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in column):
-        return np.asarray(column, float), None
-    ranks, names = _ranks(column)
-    return ranks.astype(float), names
-
-
-def _ranks(column: list[Any]) -> tuple[np.ndarray, list[str]]:
-    """The rank of each value among the different ones, and their names; null has a place of its own. Layer sizes are in
-    the order of their numbers: 64,64 before 128.
-    """
-
-    def place(value: Any) -> tuple[Any, ...]:
-        if not isinstance(value, str):
-            return value is None, 0, (), value
-        sizes = re.fullmatch(r"\d+(,\d+)*", value)
-        return False, 1 if sizes else 2, tuple(map(int, value.split(","))) if sizes else (), value
-
-    distinct = sorted(set(column), key=place)
-    rank = {value: i for i, value in enumerate(distinct)}
-    names = [
-        f"{value:g}" if isinstance(value, float) else "none" if value is None else str(value) for value in distinct
-    ]
-    return np.array([rank[value] for value in column]), names
-
-
-def _beside(x: np.ndarray, names: list[str] | None) -> np.ndarray:
-    """Settings of one value stand beside each other, evenly and in no order, in less than the room up to the next one;
-    of numbers as they are spaced on their axis.
-    """
-    distinct, which, counts = np.unique(x, return_inverse=True, return_counts=True)
-    if names is None and (len(distinct) == 1 or len(distinct) > FEW_VALUES):
-        return x
-    wide = names is None and _is_wide(x)
-    scaled = np.log(x) if wide else x
-    room = 0.22
-    if names is None:
-        gaps = np.diff(np.log(distinct) if wide else distinct)
-        room = min(0.25 * gaps.min(), 0.025 * gaps.sum())
-    rng = np.random.default_rng(0)
-    shifts = np.zeros(len(x))
-    for i in np.flatnonzero(counts > 1):
-        shifts[which == i] = rng.permutation(np.linspace(-room, room, counts[i]))
-    return np.exp(scaled + shifts) if wide else scaled + shifts
-
-
-def _scale(axes: Axes, axis: Any, places: np.ndarray, names: list[str] | None) -> None:
-    """Names as ticks, or a scale and ticks for a hyperparameter's numbers, written as they are: 0.99, not 990m."""
-    across = axis.axis_name == "x"
-    if names is not None:
-        _label(axis, names)
-        (axes.set_xlim if across else axes.set_ylim)(-0.5, len(names) - 0.5)
-        return
-    wide, distinct = _is_wide(places), np.unique(places)
-    if wide:
-        (axes.set_xscale if across else axes.set_yscale)("log")
-    gaps = np.diff(np.log(distinct) if wide else distinct)
-    if len(distinct) <= FEW_VALUES and (not len(gaps) or gaps.min() >= CLOSE * gaps.sum()):
-        axis.set_major_locator(FixedLocator(distinct.tolist()))
-    else:
-        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)) if wide else AutoLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}"))
-    axis.set_minor_locator(NullLocator())
-
-
-def _is_wide(places: np.ndarray) -> bool:
-    return bool(places.min() > 0 and places.max() > WIDE * places.min())
-
-
-def _label(axis: Any, names: list[str]) -> None:
-    """Names as ticks, at most some twenty of them. Long ones are broken, and where that is not enough turned: the
-    figure grows by their height.
-    """
-    at = list(range(0, len(names), -(-len(names) // 20)))
-    if axis.axis_name == "y":
-        axis.set_ticks(at, [_broken(names[i], LONGEST) for i in at])
-        return
-    room = ACROSS // len(at)
-    shown = [_broken(names[i], max(8, room - 2)) for i in at]
-    widths = [max(map(len, name.split("\n"))) for name in shown]
-    if all(one + other <= 2 * (room - 1) for one, other in itertools.pairwise(widths)):
-        axis.set_ticks(at, shown)
-        return
-    shown = [_broken(names[i], LONGEST) for i in at]
-    axis.set_ticks(at, shown, rotation=45, ha="right", rotation_mode="anchor")
-    figure = axis.get_figure()
-    figure.set_figheight(figure.get_figheight() + 0.06 * max(len(line) for name in shown for line in name.split("\n")))
-
-
-def _broken(name: str, letters: int) -> str:
-    """Lines of at most so many letters where the name has an underscore, comma, point or dash to be broken at; without
-    its middle where it is longer than two of the longest lines.
-    """
-    if len(name) > 2 * LONGEST:
-        name = f"{name[: LONGEST - 2]}...{name[2 - LONGEST :]}"
-    if len(name) <= letters:
-        return name
-    lines = [""]
-    for piece in re.findall(rf"[^_,.-]{{1,{LONGEST}}}[_,.-]*|[_,.-]+", name):
-        if lines[-1] and len(lines[-1]) + len(piece) > letters:
-            lines.append("")
-        lines[-1] += piece
-    return "\n".join(lines)
 
 
 def _number(value: float) -> str:

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
+from jaxq.suggest import nearest
+from jaxq.summaries import is_number
+
 
 def numbers(table: pa.Table, name: str) -> np.ndarray:
     """A column as float64, NaN for null."""
@@ -25,6 +28,22 @@ def by_setting(table: pa.Table) -> dict[int, np.ndarray]:
     order = np.argsort(config, kind="stable")
     settings, begins = np.unique(config[order], return_index=True)
     return dict(zip(settings.tolist(), np.split(order, begins[1:]), strict=True)) if len(order) else {}
+
+
+def rungs(lanes: pa.Table) -> dict[int, float]:
+    """How far each setting came: the last rung at which halving stopped a lane of it, infinity for one that went on."""
+    groups = by_setting(lanes)
+    if "stopped_at_rung" not in lanes.column_names:
+        return dict.fromkeys(groups, np.inf)
+    at = np.nan_to_num(numbers(lanes, "stopped_at_rung"), nan=-1)
+    last = {config: float(at[rows].max()) for config, rows in groups.items()}
+    return {config: np.inf if rung < 0 else rung for config, rung in last.items()}
+
+
+def told_of_stopped(status: np.ndarray, what: str) -> str:
+    """How many lanes halving stopped, and ``what`` that means in a picture; "" where it stopped none."""
+    count = int((status == "stopped").sum())
+    return f"{count} of {len(status)} lanes were stopped at a rung: {what}" if count else ""
 
 
 def can_rank(groups: Mapping[int, np.ndarray]) -> bool:
@@ -47,24 +66,30 @@ def metric_of(lanes: pa.Table, metric: str) -> Metric:
 
     Where no lane has the one that is asked for ``eval_return`` stands in, or ``final_return`` where none has that. A
     lane that diverged or has no return counts as the worst there is, 0 or the least value where that is lower; one
-    that was never solved as the longest. Raises ValueError for no column.
+    that was never solved as the longest; one that halving stopped has the return that it had then. Raises ValueError
+    for what is no column of numbers.
     """
-    if metric not in lanes.column_names:
-        raise ValueError(f"metric: {metric!r} is no column of the lanes")
+    after = lanes.column_names.index("status") + 1
+    known = [name for name in lanes.column_names[after:] if is_number(lanes[name].type)]
+    if metric not in known:
+        raise ValueError(f"metric: {metric!r} is no column of numbers of the lanes{nearest(metric, known)}")
     columns = [name for name in dict.fromkeys((metric, "eval_return", "final_return")) if name in lanes.column_names]
     name = next((one for one in columns if np.isfinite(numbers(lanes, one)).any()), columns[-1])
+    status = words(lanes, "status")
     values, title = numbers(lanes, name), NAMES.get(name, name.replace("_", " "))
     missing = ~np.isfinite(values)
     if name in CLOCKS:
         longest = max(float(numbers(lanes, CLOCKS[name]).max()), float(values[~missing].max(initial=0.0)))
         told = f"{missing.sum()} of {len(values)} lanes were not solved and count as the longest"
+        if stopped := int((status == "stopped").sum()):
+            told += f", {stopped} of them because a rung stopped them"
         return Metric(title, np.where(missing, longest, values), False, told if missing.any() else "")
-    diverged = words(lanes, "status") == "diverged"
+    diverged = status == "diverged"
     worst = min(0.0, float(values[~missing & ~diverged].min(initial=0.0)))
     counts = {"diverged": int(diverged.sum()), f"have no {title}": int((missing & ~diverged).sum())}
     told = ", ".join(f"{count} of {len(values)} lanes {what}" for what, count in counts.items() if count)
-    note = f"{told} and count as the worst" if told else ""
-    return Metric(title, np.where(missing | diverged, worst, values), True, note)
+    note = [f"{told} and count as the worst" if told else "", told_of_stopped(status, "they have their return of then")]
+    return Metric(title, np.where(missing | diverged, worst, values), True, "\n".join(filter(None, note)))
 
 
 #: The columns of times to success, and the clock that each is read from.

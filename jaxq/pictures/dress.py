@@ -29,6 +29,8 @@ FEW = 30
 LARGE = 10_000
 #: Okabe and Ito's colours for every kind of sight, with grey for their yellow, which is too pale for a line.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
+#: The mark of a setting that halving stopped at a rung.
+STOPPED = "x"
 #: From low to high, for every kind of sight.
 COLOR_MAP = "viridis"
 
