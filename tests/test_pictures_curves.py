@@ -208,11 +208,12 @@ def test_who_does_not_look_for_success_has_no_share():
     def labels(stops):
         lanes = [lane(c, seed, stop=stop) for c, stop in enumerate(stops) for seed in range(3)]
         figure = draw(lanes, [], {0: "a", 1: "b"})
-        right = figure.axes[1]
-        return len([line for line in right.lines if len(line.get_xdata())]), texts(figure)[1:-1], keys(figure)
+        return [len(axes.lines) for axes in figure.axes], keys(figure)
 
-    assert labels(["none", "none"]) == (0, ["no setting looks for success"], ["a", "b"])
-    assert labels(["streak", "none"]) == (1, [], ["a", "b"])
+    assert labels(["none", "none"]) == ([0], ["a", "b"])
+    assert labels(["streak", "none"]) == ([0, 1], ["a", "b"])
+    watched = [point(c, s, steps, 1.0, 1.0) for c in range(2) for s in range(3) for steps in (500, 1000)]
+    assert len(draw([lane(c, s, stop="none") for c in range(2) for s in range(3)], watched, "ab").axes) == 2
 
 
 def test_a_curve_of_one_point_can_be_seen():
@@ -227,6 +228,30 @@ def test_diverged_lanes_are_counted_and_their_values_are_left_out():
     figure = drawn(draw(lanes, curves, {0: "s"}))
     assert texts(figure) == ["1 of 2 lanes diverged and keep their last return"]
     assert set(figure.axes[0].lines[0].get_ydata()) == {20.0}
+
+
+def test_lines_end_where_the_lanes_of_a_setting_were_stopped_and_this_is_said():
+    lanes = [lane(0, seed, 1000) for seed in range(3)]
+    lanes += [lane(1, seed, 300 + seed, status="stopped", value=400.0) for seed in range(3)]
+    curves = [point(c, seed, steps, 10.0 + c, 10.0) for c in range(2) for seed in range(3) for steps in (100, 300)]
+    figure = drawn(draw(lanes, curves, {0: "a", 1: "b"}))
+    for axes in figure.axes:
+        went, stopped = axes.lines
+        assert went.get_xdata()[-1] == 1000
+        assert went.get_marker() == "None"
+        assert stopped.get_xdata()[-1] == 302
+        assert (stopped.get_marker(), stopped.get_markevery()) == ("x", [-1])
+    assert texts(figure)[-1] == "3 of 6 lanes were stopped at a rung: their settings' lines end there (x)"
+
+
+def test_settings_that_came_furthest_are_kept_before_those_of_higher_return():
+    lanes = [lane(c, s, value=100.0 + c) for c in range(3) for s in range(3)]
+    lanes += [
+        lane(c, s, status="stopped", value=500.0 - c, stopped_at_rung=c % 2) for c in range(3, 13) for s in (0, 1)
+    ]
+    figure = draw(lanes, [], {c: f"s {c}" for c in range(13)})
+    assert keys(figure) == [f"s {c}" for c in (0, 1, 2, 3, 5, 7, 9, 11)]
+    assert texts(figure)[-1].startswith("8 of 13 settings, those that came furthest, of these those of highest return")
 
 
 def test_a_sweep_without_a_finished_episode_or_a_lane_says_so():

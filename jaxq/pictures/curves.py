@@ -9,11 +9,12 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter
 from pyarrow import compute
 
-from jaxq.pictures.columns import by_setting, can_rank, numbers, words
-from jaxq.pictures.dress import COLORS, GRID, MOST_SETTINGS, dress, marks, nothing, with_legend
+from jaxq.pictures.columns import by_setting, can_rank, numbers, rungs, told_of_stopped, words
+from jaxq.pictures.dress import COLORS, GRID, MOST_SETTINGS, STOPPED, dress, marks, nothing, with_legend
 
 #: The axes of a sweep are cut when the longest lane ran more than this many times as long as 98 of 100.
 MUCH_LONGER = 1.5
@@ -21,67 +22,75 @@ MUCH_LONGER = 1.5
 
 def learning_curves(lanes: pa.Table, curves: pa.Table, labels: Mapping[int, str]) -> Figure:
     """A sweep's picture: per setting the median training return with its quartiles, the same of greedy evaluations
-    where there were some while training, and the share of solved lanes, over environment steps. A lane's curve begins
-    at its first point, and a lane that ended keeps its last return. At most eight settings, those of highest return,
-    or the first ones where a setting has one seed, which ranks nothing. When a few lanes ran much longer than the rest
-    the axes end where 98 of 100 have ended, and the final share stands at the edge where it is another. What is left
-    out is said above the legend.
+    where there were some while training, and the share of solved lanes where a setting looks for success, over
+    environment steps. A lane's curve begins at its first point, and a lane that ended keeps its last return; of a
+    setting that halving stopped the lines end where its lanes do. At most eight settings, those that went to the end
+    and had the highest return, or the first ones where a setting has one seed, which ranks nothing. When a few lanes
+    ran much longer than the rest the axes end where 98 of 100 have ended, and the final share stands at the edge where
+    it is another. What is left out is said above the legend.
     """
     if not len(lanes):
         figure = Figure(figsize=(11, 4), layout="constrained")
         return nothing(figure, "no lanes", *figure.subplots(1, 2))
-    groups = by_setting(lanes)
-    ranked = can_rank(groups)
+    groups, far = by_setting(lanes), rungs(lanes)
+    ranked, halved = can_rank(groups), any(np.isfinite(rung) for rung in far.values())
     final, ends, status = numbers(lanes, "final_return"), numbers(lanes, "env_steps"), words(lanes, "status")
     means = {c: float(np.nan_to_num(final[rows], posinf=0, neginf=0).mean()) for c, rows in groups.items()}
-    shown = sorted(sorted(means, key=lambda c: (-means[c] if ranked else 0.0, c))[:MOST_SETTINGS])
+    shown = sorted(sorted(means, key=lambda c: (-far[c], -means[c], c) if ranked else (c,))[:MOST_SETTINGS])
     picked = curves
     if len(shown) < len(groups):
         picked = curves.filter(compute.is_in(curves["config"], value_set=pa.array(shown, pa.int64())))
     evaluated = picked["eval_return"].drop_null() if len(picked) else []
     watched = len(evaluated) > sum(len(groups[c]) for c in shown)
-    figure = Figure(figsize=(15 if watched else 11, 4), layout="constrained")
-    left, *middle, right = figure.subplots(1, 3 if watched else 2)
+    stop, at = words(lanes, "stop"), numbers(lanes, "solved_at_step")
+    looks = [c for c in shown if stop[groups[c][0]] != "none"]
+    panels = 1 + watched + bool(looks)
+    figure = Figure(figsize=(3 + 4 * panels, 4), layout="constrained")
+    left, *others = np.ravel(figure.subplots(1, panels)).tolist()
+    middle, last_panel = others[:watched], others[watched:]
     counts = {len(groups[c]) for c in shown}
     of = f"{n} lane{'s' * (n > 1)}" if len(counts) == 1 and (n := max(counts)) else "the setting's lanes"
     statistic = "return per episode" if counts == {1} else f"return: median, quartiles of {of}"
     dress(left, "return of training episodes", "environment steps", statistic)
     for axes in middle:
         dress(axes, "return of greedy episodes", "environment steps", statistic)
-    dress(right, "share of lanes solved", "environment steps", f"share of {of}")
+    for axes in last_panel:
+        dress(axes, "share of lanes solved", "environment steps", f"share of {of}")
+        axes.set_ylim(-0.03, 1.03)
     of_shown = np.concatenate([groups[c] for c in shown])
     last = int(np.percentile(ends[of_shown], 98, method="inverted_cdf"))
     last = max(1, last if ends[of_shown].max() > MUCH_LONGER * last else int(ends[of_shown].max()))
     grid = np.linspace(0, last, GRID)
-    right.set_ylim(-0.03, 1.03)
     curves_of = by_setting(picked)
     columns = [(left, numbers(picked, "train_return")), *((axes, numbers(picked, "eval_return")) for axes in middle)]
     seeds, steps = numbers(picked, "seed"), numbers(picked, "env_steps")
-    stop, at = words(lanes, "stop"), numbers(lanes, "solved_at_step")
     handles, rises = [], []
     for i, config in enumerate(shown):
         look: dict[str, Any] = {"color": COLORS[i], "linestyle": (0, (4, 2)) if i % 2 else "-"}
-        mine = curves_of.get(config, np.zeros(0, int))
+        mine, rows = curves_of.get(config, np.zeros(0, int)), groups[config]
+        handles.append(Line2D([], [], **look))
+        over = grid
+        if np.isfinite(far[config]):  # what its lanes would have come to nobody knows
+            over = np.append(grid[grid < ends[rows].max()], min(last, ends[rows].max()))
+            look |= {"marker": STOPPED, "markevery": [-1], "markersize": 6}
         for axes, returns in columns:
-            _draw(axes, grid, _on_grid(seeds[mine], steps[mine], returns[mine], grid), look)
-        rows = groups[config]
-        handles += right.plot([], [], **look)
-        if stop[rows[0]] == "none":  # nobody looks for success
+            _draw(axes, over, _on_grid(seeds[mine], steps[mine], returns[mine], over), look)
+        if config not in looks:
             continue
+        (right,) = last_panel
         times = np.sort(at[rows][np.isfinite(at[rows])])
-        solved = np.searchsorted(times, grid, side="right") / len(rows)
-        right.step(grid, solved, where="post", **look)
+        solved = np.searchsorted(times, over, side="right") / len(rows)
+        right.step(over, solved, where="post", **look)
         if f"{solved[-1]:.2f}" != f"{len(times) / len(rows):.2f}":
             rises.append((len(times) / len(rows), float(solved[-1]), COLORS[i]))
     for axes in (left, *middle):
         if not axes.lines:
             nothing(figure, "no finished episode", axes)
-    if len(right.lines) == len(shown):  # their keys in the legend alone
-        nothing(figure, "no setting looks for success", right)
-    for axes in (left, *middle, right):
+    for axes in (left, *others):
         axes.set_xlim(-0.03 * last, 1.02 * last)
-    _mark_rises(right, last, rises)
-    notes = _notes(ends[of_shown], status[of_shown], len(shown), len(groups), last, bool(rises), ranked)
+    for axes in last_panel:
+        _mark_rises(axes, last, rises)
+    notes = _notes(ends[of_shown], status[of_shown], len(shown), len(groups), last, bool(rises), ranked, halved)
     return with_legend(figure, handles, [labels[c] for c in shown], notes)
 
 
@@ -91,7 +100,7 @@ def _draw(axes: Axes, grid: np.ndarray, values: np.ndarray, look: dict[str, Any]
         # Column by column: of thousands of lanes a copy of all is much memory.
         quartiles = [np.nanpercentile(column, [25, 50, 75]) for column in (values[:, i] for i in np.flatnonzero(known))]
         low, middle, high = np.array(quartiles, float).T
-        axes.plot(grid[known], middle, **look, **(marks(1) if known.sum() == 1 else {}))
+        axes.plot(grid[known], middle, **(marks(1) if known.sum() == 1 else {}) | look)
         axes.fill_between(grid[known], low, high, color=look["color"], alpha=0.15, linewidth=0)
 
 
@@ -113,12 +122,14 @@ def _on_grid(seeds: np.ndarray, steps: np.ndarray, returns: np.ndarray, grid: np
 
 
 def _notes(
-    ends: np.ndarray, status: np.ndarray, shown: int, settings: int, last: int, rises: bool, ranked: bool
+    ends: np.ndarray, status: np.ndarray, shown: int, settings: int, last: int, rises: bool, ranked: bool, halved: bool
 ) -> str:
     """What the picture of a sweep does not show."""
     notes = []
     if settings > shown:
         which = "those of highest return" if ranked else "the first: one seed ranks nothing"
+        if ranked and halved:
+            which = "those that came furthest, of these those of highest return"
         notes.append(f"{shown} of {settings} settings, {which}")
     if (longest := ends.max()) > last:
         note = f"the axes end where {(ends <= last).sum()} of {len(ends)} lanes have ended; the longest ran "
@@ -126,6 +137,8 @@ def _notes(
         notes.append(note + ("; numbers at the edge: final shares" if rises else ""))
     if diverged := int((status == "diverged").sum()):
         notes.append(f"{diverged} of {len(status)} lanes diverged and keep their last return")
+    if stopped := told_of_stopped(status, f"their settings' lines end there ({STOPPED})"):
+        notes.append(stopped)
     return "\n".join(notes)
 
 
