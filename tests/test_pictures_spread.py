@@ -102,6 +102,30 @@ def test_many_settings_are_ranked_with_the_quartiles_and_the_range_of_their_seed
     assert f"last: {labels[order[-1]]}" in note(figure)
 
 
+def test_settings_that_were_stopped_come_last_and_have_crosses():
+    lanes = table(
+        [lane(c, s, value=value) for c, value in ((0, 100.0), (1, 200.0)) for s in range(3)]
+        + [lane(c, s, status="stopped", value=500.0 - c, stopped_at_rung=c - 2) for c in (2, 3) for s in range(3)]
+    )
+    figure = drawn(pictures.spread(lanes, {c: f"s {c}" for c in range(4)}))
+    assert names(figure.axes[0].yaxis) == ["s 1", "s 0", "s 3", "s 2"]
+    assert [line.get_marker() for line in figure.axes[0].lines[::2]] == [".", ".", "x", "x"]
+    assert keys(figure)[1] == "a seed of a setting that was stopped at a rung"
+    assert note(figure) == "6 of 12 lanes were stopped at a rung: they have their return of then"
+
+
+def test_many_settings_that_were_stopped_stand_right_of_a_line():
+    settings = sobol(100)
+    figure = drawn(pictures.spread(swept(settings, 4, went=30), labels_of(settings)))
+    means, line = figure.axes[0].lines
+    assert line.get_xdata() == [30.5, 30.5]
+    found = returns(swept(settings, 4, went=30))
+    middle = {c: stats.interquartile_mean(values).value for c, values in found.items()}
+    order = sorted(found, key=lambda c: (c >= 30, -middle[c], c))
+    np.testing.assert_allclose(means.get_ydata(), [middle[c] for c in order])
+    assert "right of the line: settings that were stopped at a rung" in note(figure)
+
+
 def test_every_line_of_the_note_has_its_own_line_and_lies_inside():
     settings = product(**{f"some_rather_long_hyperparameter_{i}": [1] for i in range(9)}, last=list(range(50)))
     figure = drawn(pictures.spread(swept(settings, 3), labels_of(settings)))

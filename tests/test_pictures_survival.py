@@ -58,7 +58,46 @@ def test_a_tick_marks_a_seed_that_was_watched_no_longer_and_none_one_that_diverg
     (ticks,) = (line for line in figure.axes[0].lines if line.get_marker() == "|")
     np.testing.assert_allclose(ticks.get_xydata(), [[2000, 2 / 3]])
     assert "|: a seed watched no longer" in note(figure)
-    assert "1 of 3 seeds ended otherwise, as by divergence, and count as never solved" in note(figure)
+    assert "1 of 3 seeds diverged and count as never solved\n1 of 3 lanes were stopped at a rung" in note(figure)
+
+
+def test_why_a_seed_counts_as_never_solved_is_said():
+    rows = [lane(0, 0, 1000), lane(0, 1, 2000, status="finished", episodes=LIMIT), lane(0, 2, 500, status="diverged")]
+    says = note(pictures.survival(table(rows), {0: "s"}))
+    assert "1 of 3 seeds diverged, 1 of 3 seeds reached max_episodes and count as never solved" in says
+    says = note(pictures.survival(table(rows[:2]), {0: "s"}))
+    assert "1 of 2 seeds reached max_episodes and count as never solved" in says
+    assert "diverged" not in says
+    rows = [lane(0, 0, 1000), lane(0, 1, LIMIT, status="finished")]
+    assert "never" not in note(pictures.survival(table(rows), {0: "s"}))
+    says = note(pictures.survival(table(rows), {0: "s"}, clock="episodes"))
+    assert "1 of 2 seeds reached max_env_steps and count as never solved" in says
+
+
+def halved(solved):
+    """Settings that went to the end, of which some were solved, and as many as make 30 that were stopped early."""
+    rows = [lane(c, s, 90_000 + c, status="solved" if c in solved else "finished") for c in range(3) for s in range(2)]
+    return rows + [lane(c, s, 1000 + c, status="stopped") for c in range(3, 30) for s in range(2)]
+
+
+def test_only_settings_with_a_solved_seed_have_colours_where_some_are_grey():
+    figure = drawn(pictures.survival(table(halved({0, 2})), {c: f"s {c}" for c in range(30)}))
+    assert keys(figure) == ["s 0", "s 2"]
+    first, *_, last = note(figure).split("\n")
+    assert first == "2 of 30 settings, those with a solved seed; the others are grey"
+    assert last == "54 of 60 lanes were stopped at a rung: watched until then"
+    ends = sorted(segment[-1, 0] for segment in figure.axes[0].collections[0].get_segments())
+    assert ends == [*range(1003, 1030), 90_002]  # none goes on after its last seed was watched
+    none = drawn(pictures.survival(table(halved(())), {c: f"s {c}" for c in range(30)}))
+    assert keys(none) == []
+    assert note(none).startswith("no seed of the 30 settings was solved")
+
+
+def test_what_was_stopped_is_not_among_the_quickest_where_eight_went_to_the_end():
+    rows = [lane(c, s, 90_000) for c in range(8) for s in range(2)]
+    rows += [lane(c, 0, 500) for c in (8, 9)] + [lane(c, 1, 1000, status="stopped") for c in (8, 9)]
+    figure = drawn(pictures.survival(table(rows), {c: f"s {c}" for c in range(10)}))
+    assert keys(figure) == [f"s {c}" for c in range(8)]
 
 
 def test_bands_are_named_only_where_one_was_computed():
@@ -84,7 +123,7 @@ def test_one_seed_picks_no_quickest_settings():
     rows = [lane(c, 0, 1000 * (12 - c)) for c in range(12)]
     figure = drawn(pictures.survival(table(rows), {c: f"s {c}" for c in range(12)}))
     assert keys(figure) == [f"s {c}" for c in range(8)]
-    assert note(figure) == "8 of 12 settings, the first, as one seed ranks nothing; the others are grey"
+    assert note(figure).startswith("8 of 12 settings, the first with a solved seed, as one seed ranks nothing; the oth")
 
 
 def test_settings_that_do_not_look_for_success_have_no_curve():
