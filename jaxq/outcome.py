@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from jaxq import manifest, parts, run_files, saved_policy, summaries, tables
+from jaxq import manifest, parts, run_files, saved_policy, sources, summaries, tables, worlds
 from jaxq.manifest import RunError
-from jaxq.presets import preset, settle
+from jaxq.presets import preset, presets, settle
 from jaxq.saved_policy import SavedPolicy
 from jaxq.settings import shown
 from jaxq.shared import Progress
 from jaxq.store import Readable
 from jaxq.summaries import Row
+from jaxq.worlds import WORLDS, World
 
 
 @dataclass
@@ -60,11 +61,14 @@ class Timing:
 
 @dataclass
 class Outcome:
-    """The results of a sweep; ``spec`` is what identifies it (``Plan.spec``)."""
+    """The results of a sweep; ``spec`` is what identifies it (``Plan.spec``), and ``world`` its environment where that
+    is one of the user's own and at hand.
+    """
 
     spec: dict[str, Any]
     store: Readable
     timing: Timing = field(default_factory=Timing)
+    world: World | None = None
 
     @property
     def varied(self) -> list[str]:
@@ -111,8 +115,10 @@ class Outcome:
         """One row per setting: see ``summaries.summary``."""
         return list(self._summary)
 
-    def best(self, metric: str = "eval_return") -> Row:
-        """The summary's row of the setting with the greatest ``metric``. Raises ValueError with one seed."""
+    def best(self, metric: str | None = None) -> Row:
+        """The summary's row of the setting with the greatest ``metric``: see ``summaries.best``. Raises ValueError with
+        one seed.
+        """
         return summaries.best(self._summary, metric)
 
     def label(self, config: int) -> str:
@@ -125,14 +131,23 @@ class Outcome:
     def settings(self, config: int) -> Any:
         """The settings of one setting's index.
 
-        Raises ValueError for an index that there is none of, and for a sweep of functions of the user's own, which no
-        directory holds.
+        Raises ValueError for an index that there is none of, for a sweep of a function of the user's own, and for an
+        environment of the user's own that is not at hand: see ``load``.
         """
         count = len(self.spec["settings"])
         if not 0 <= config < count:
             raise ValueError(f"config: {config} is not allowed: from 0 to {count - 1}")
         values = self.spec["common"] | dict(zip(self.spec["varied"], self.spec["settings"][config], strict=True))
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+        held = "a function of your own, which no directory holds"
+        if "env" not in given or self.spec["preset"] not in [known.name for known in presets()]:
+            raise ValueError(f"preset: this run was made with {self.spec['preset']!r}, {held}")
+        if given["env"] not in WORLDS:
+            if self.world is None:
+                raise ValueError(
+                    f"env: this run was made with {given['env']!r}, {held}: hand it to jaxq.load(.., env=..)"
+                )
+            given["env"] = self.world
         return settle(preset(self.spec["preset"]), **given)
 
     def policy(self, config: int, seed: int = 0) -> SavedPolicy:
@@ -140,7 +155,7 @@ class Outcome:
         weights, about = self.store.policy(config, seed)
         return saved_policy.load(weights, about, config)
 
-    def plot(self, kind: str = "curves", **options: Any) -> Any:
+    def plot(self, kind: str | None = None, **options: Any) -> Any:
         """A picture as a matplotlib Figure: see ``drawing.draw`` for the kinds and their options."""
         from jaxq import drawing
 
@@ -176,7 +191,23 @@ class StoredRun:
         return parts.read_policy(self.path, config, seed)
 
 
-def load(path: str | Path) -> Outcome:
-    """The outcome of a run directory. Raises RunError for what is none, or is damaged."""
+def load(path: str | Path, env: Callable[..., Any] | None = None) -> Outcome:
+    """The outcome of a run directory; ``env`` is the function that made its environment, where that was one of the
+    user's own, so that its policies can be played again.
+
+    Raises RunError for what is no run, or is damaged, and ValueError for another function than the run was made with.
+    """
     stored = StoredRun(Path(path))
-    return Outcome(stored.manifest["spec"], stored)
+    spec = stored.manifest["spec"]
+    return Outcome(spec, stored, world=None if env is None else _own_world(spec, env))
+
+
+def _own_world(spec: dict[str, Any], env: Callable[..., Any]) -> World:
+    made_with = spec["common"].get("env")
+    if made_with is None or made_with in WORLDS:
+        raise ValueError(f"env: is not allowed: this run has no environment of your own, but {made_with or 'none'}")
+    if not callable(env):
+        raise ValueError(f"env: {env!r} is not allowed: the function that made {made_with!r}")
+    if spec.get("source") not in (None, sources.digest(env)):
+        raise ValueError(f"env: is not the {made_with!r} of this run: its source, or what is bound to it, is another")
+    return worlds.world(env)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from jaxq import pictures, run_files, stats, summaries
 from jaxq.drawing import draw
@@ -20,6 +21,8 @@ from jaxq.summaries import Row
 BEST, COMPARED = 20, 5
 #: Pairs of axes that get a heat map.
 PAIRS = 15
+#: In so few settings axes are tied even where no value comes twice.
+FEW_TIED = 5
 
 
 def write(outcome: Outcome, path: Path, drawn: Callable[[str], None] = lambda name: None) -> Path:
@@ -49,9 +52,12 @@ def _sections(outcome: Outcome, picture: Callable[..., str]) -> Iterator[str]:
     summary, varied = outcome.summary(), outcome.varied
     yield f"# {outcome.spec['preset']}: {_count(len(summary), 'setting')}\n"
     yield from _what_ran(outcome, summary)
-    if not summary or "eval_return" not in summary[0]:  # of a function of the user's own
+    if (outputs := summaries.outputs(outcome.lanes)) is not None:  # of a function of the user's own
         yield "## Results\n"
         yield _table(summary[:1000], list(summary[0]) if summary else [])
+        if outputs:
+            yield picture("spread", "spread", "spread of the seeds")
+            yield from _hyperparameters(outcome, picture, outputs[0], outputs[0])
         return
     seeds = max(row["seeds"] for row in summary)
     yield "## Settings\n"
@@ -66,16 +72,45 @@ def _sections(outcome: Outcome, picture: Callable[..., str]) -> Iterator[str]:
     metric, name = _metric(outcome)
     if metric != "eval_return":
         yield picture("spread-steps", "spread", f"spread of the seeds: {name}", metric=metric)
-    if varied:
-        yield "## Hyperparameters\n"
-        for i, axis in enumerate(varied):
-            yield picture(f"sensitivity-{i}", "sensitivity", f"{name} by {axis}", axis=axis, metric=metric)
-        pairs = list(itertools.combinations(varied, 2))
-        for i, (x, y) in enumerate(pairs[:PAIRS]):
-            yield picture(f"pair-{i}", "heat_map", f"{name} by {x} and {y}", x=x, y=y, metric=metric)
-        if len(pairs) > PAIRS:
-            yield f"{PAIRS} of {len(pairs)} pairs; `Outcome.plot('heat_map', x=..., y=...)` draws any.\n"
+    yield from _hyperparameters(outcome, picture, metric, name)
     yield from _agent(outcome, picture)
+
+
+def _hyperparameters(outcome: Outcome, picture: Callable[..., str], metric: str, name: str) -> Iterator[str]:
+    """A picture per axis and per pair of axes, of those that are tied to each other the first."""
+    if not outcome.varied:
+        return
+    yield "## Hyperparameters\n"
+    tied = tied_axes(outcome.spec["settings"], outcome.varied)
+    for first in dict.fromkeys(tied.values()):
+        others = ", ".join(axis for axis, to in tied.items() if to == first)
+        yield f"Each value of {first} goes with one of {others}: {first} stands for all of them in the pictures.\n"
+    axes = [axis for axis in outcome.varied if axis not in tied]
+    for i, axis in enumerate(axes):
+        yield picture(f"sensitivity-{i}", "sensitivity", f"{name} by {axis}", axis=axis, metric=metric)
+    pairs = list(itertools.combinations(axes, 2))
+    for i, (x, y) in enumerate(pairs[:PAIRS]):
+        yield picture(f"pair-{i}", "heat_map", f"{name} by {x} and {y}", x=x, y=y, metric=metric)
+    if len(pairs) > PAIRS:
+        yield f"{PAIRS} of {len(pairs)} pairs; `Outcome.plot('heat_map', x=..., y=...)` draws any.\n"
+
+
+def tied_axes(settings: Sequence[Sequence[Any]], varied: Sequence[str]) -> dict[str, str]:
+    """The axes whose values stand one to one with those of an earlier one, and which that is. settings [n, axes].
+
+    Values of their own in each of many settings, as ranges have them, are tied to nothing.
+
+    >>> tied_axes([[1, "a", 5], [1, "a", 6], [2, "b", 5]], ["x", "y", "z"])
+    {'y': 'x'}
+    """
+    columns = [list(map(str, column)) for column in zip(*settings, strict=True)]
+    tied: dict[str, str] = {}
+    for (i, one), (j, other) in itertools.combinations(enumerate(columns), 2):
+        pairs, distinct = len(set(zip(one, other, strict=True))), len(set(one))
+        alone = distinct == len(settings) > FEW_TIED
+        if pairs == distinct == len(set(other)) and not alone and varied[i] not in tied:
+            tied.setdefault(varied[j], varied[i])
+    return tied
 
 
 def _metric(outcome: Outcome) -> tuple[str, str]:
@@ -99,12 +134,23 @@ def _what_ran(outcome: Outcome, summary: list[Row]) -> Iterator[str]:
         versions = ", ".join(f"{name} {version}" for name, version in held["versions"].items())
         yield f"Made on {held['cpu']} ({held['device']}) with {versions}.\n"
     for rung in held.get("rungs", []):
-        kept, stopped = len(rung["kept"]), len(rung["stopped"])
-        yield f"- Rung {rung['rung']}, at {rung['fraction']:.3g} of each training: {kept} of {kept + stopped} went on."
+        yield _rung(rung, lanes)
     for one in held.get("mismatches", []):
         yield f"- Resumed otherwise: {one['what']} was {one['was']}, became {one['is']}."
     if held.get("rungs") or held.get("mismatches"):
         yield ""
+
+
+def _rung(rung: Row, lanes: pa.Table) -> str:
+    """What a rung decided, and how many trainings it really stopped: the others had ended before."""
+    kept, others = len(rung["kept"]), len(rung["stopped"])
+    stopped = lanes["stopped_at_rung"].to_pylist().count(rung["rung"])
+    told = (
+        f"- Rung {rung['rung']}, at {rung['fraction']:.3g} of each training: {kept} of {kept + others} settings went on"
+    )
+    if others and not stopped:
+        return f"{told}, but it came too late to stop any training: all of the other settings had ended."
+    return f"{told}, {_count(stopped, 'training')} of the others {'was' if stopped == 1 else 'were'} stopped."
 
 
 def _settings(summary: list[Row], varied: list[str], ranked: bool) -> Iterator[str]:
@@ -131,17 +177,25 @@ def _settings(summary: list[Row], varied: list[str], ranked: bool) -> Iterator[s
     if not ranked:
         yield "One seed each: values without intervals, in the order of the sweep. One seed ranks no settings.\n"
     yield _table(table, list(table[0]))
+    if stopped := sum(row["stopped"] > 0 for row in summary):
+        yield (
+            f"{stopped} of {len(summary)} settings were stopped at a rung: they show what they had come to then, rank"
+            " after those that went to the end, those that came further first, and have crosses in the pictures.\n"
+        )
     yield (
-        "solved: share of seeds that the stop rule ended; reached: share whose greedy return is at the environment's"
-        " threshold (Wilson intervals); median_env_steps: Kaplan-Meier median until solved, unsolved seeds censored;"
-        " final_return (training, last 50 episodes), eval_return (greedy) and area_under_curve (mean training return"
-        " over all steps): interquartile means with 95 % bootstrap intervals; median and mean: of the greedy return.\n"
+        "solved: share of seeds that the stop rule ended, of those that no rung stopped; reached: share whose greedy"
+        " return is at the environment's threshold (Wilson intervals); median_env_steps: Kaplan-Meier median until"
+        " solved, where a seed that reached max_env_steps or was stopped at a rung is censored, and one that diverged,"
+        " or reached max_episodes first, is later than all; final_return (training, last 50 episodes), eval_return"
+        " (greedy) and area_under_curve (mean training return over all steps): interquartile means with 95 % bootstrap"
+        " intervals; median and mean: of the greedy return.\n"
     )
 
 
 def _pairs(outcome: Outcome, summary: list[Row]) -> Iterator[str]:
-    """The best setting against the next ones."""
-    ranked = [row["config"] for row in summaries.ranked(summary) if row["eval_return"] is not None]
+    """The best setting against the next ones; of halved sweeps those that went to the end."""
+    ended = [row for row in summary if row["eval_return"] is not None and not row["stopped"]]
+    ranked = [row["config"] for row in summaries.ranked(ended)]
     if len(ranked) < 2:
         return
     config, seed, returns = (
@@ -172,12 +226,12 @@ def _pairs(outcome: Outcome, summary: list[Row]) -> Iterator[str]:
 def _agent(outcome: Outcome, picture: Callable[..., str]) -> Iterator[str]:
     rows = [
         row
-        for row in outcome.lanes.select(["config", "seed", "eval_return"]).to_pylist()
+        for row in outcome.lanes.select(["config", "seed", "status", "eval_return"]).to_pylist()
         if row["eval_return"] is not None
     ]
     if not rows:
         return
-    best = max(rows, key=lambda row: row["eval_return"])
+    best = max(rows, key=lambda row: (row["status"] != "stopped", row["eval_return"]))
     config, seed = best["config"], best["seed"]
     try:
         outcome.policy(config, seed)

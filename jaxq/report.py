@@ -47,9 +47,9 @@ def settings_table(summary: Sequence[Row], varied: Sequence[str], *, color: bool
         cells += [str(row["seeds"]), *(_interval(row, *column) for column in columns.values())]
         table.add_row(*cells, *(str(row[name]) for name in headings[len(cells) :]))
     table.caption = (
-        "solved: share of seeds that the stop rule ended; reached: whose greedy return is at the environment's"
-        " threshold; episodes, env steps: Kaplan-Meier medians until solved; final return: training, last 50 episodes;"
-        " returns are interquartile means; brackets: 95 % intervals"
+        "solved: share of seeds that the stop rule ended, of those that no rung stopped; reached: whose greedy return"
+        " is at the environment's threshold; episodes, env steps: Kaplan-Meier medians until solved; final return:"
+        " training, last 50 episodes; returns are interquartile means; brackets: 95 % intervals"
         if columns is _COLUMNS
         else "interquartile means; brackets: 95 % intervals"
     )

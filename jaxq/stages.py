@@ -87,7 +87,7 @@ class Sweep:
         finally:
             self.batches.flush()
         self.timing.env_steps, self.timing.updates = self.overall.env_steps, self.overall.updates
-        return Outcome(planned.spec(), self.store, self.timing)
+        return Outcome(planned.spec(), self.store, self.timing, getattr(planned.settings[0], "env", None))
 
     def _count_what_is_there(self) -> None:
         lanes = self.store.table("lanes", ["status"])

@@ -84,7 +84,7 @@ def best(rows: Sequence[Row], metric: str | None = None) -> Row:
         raise ValueError("metric: no setting has a number to be ranked by")
     metric = metrics[0] if metric is None else metric
     if metric not in metrics:
-        raise ValueError(f"metric: {metric!r} is no column of the summary{nearest(metric, metrics)}")
+        raise ValueError(f"metric: {metric!r} is no column of the summary{nearest(str(metric), metrics)}")
     first = ranked(rows, metric)[0]
     if first[metric] is None:
         raise ValueError(f"metric: no setting has {metric}")

@@ -72,7 +72,7 @@ def metric_of(lanes: pa.Table, metric: str) -> Metric:
     after = lanes.column_names.index("status") + 1
     known = [name for name in lanes.column_names[after:] if is_number(lanes[name].type)]
     if metric not in known:
-        raise ValueError(f"metric: {metric!r} is no column of numbers of the lanes{nearest(metric, known)}")
+        raise ValueError(f"metric: {metric!r} is no column of numbers of the lanes{nearest(str(metric), known)}")
     columns = [name for name in dict.fromkeys((metric, "eval_return", "final_return")) if name in lanes.column_names]
     name = next((one for one in columns if np.isfinite(numbers(lanes, one)).any()), columns[-1])
     status = words(lanes, "status")
