@@ -13,6 +13,10 @@ from jaxq.suggest import nearest
 
 EPISODES = 100
 WHERE = ("pure", "gymnasium")
+CAPTION = (
+    "recorded: greedy return at the end of training; the others: fresh episodes from start states that neither training"
+    " nor its evaluation saw, so they differ from it"
+)
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,6 +62,7 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps(rows))
     else:
         print(report.rows_table(rows, plain=not encodes(sys.stdout, report.LINES)))
+        print(CAPTION)
     return exits.OK
 
 
@@ -73,7 +78,7 @@ def _chosen(outcome: Any, options: argparse.Namespace) -> list[dict[str, Any]]:
         raise UsageError(f"{options.directory}: holds no lane with a policy")
     if options.all or options.config is not None or options.seed is not None:
         return rows
-    return [max(rows, key=lambda row: row["eval_return"])]
+    return [max(rows, key=lambda row: (row["status"] != "stopped", row["eval_return"]))]
 
 
 def _row(outcome: Any, lane: dict[str, Any], options: argparse.Namespace) -> dict[str, Any]:

@@ -144,9 +144,7 @@ class Outcome:
             raise ValueError(f"preset: this run was made with {self.spec['preset']!r}, {held}")
         if given["env"] not in WORLDS:
             if self.world is None:
-                raise ValueError(
-                    f"env: this run was made with {given['env']!r}, {held}: hand it to jaxq.load(.., env=..)"
-                )
+                raise ValueError(f"env: this run was made with {given['env']!r}, {held}: see jaxq.load(DIR, env=...)")
             given["env"] = self.world
         return settle(preset(self.spec["preset"]), **given)
 

@@ -172,12 +172,14 @@ def _settings(summary: list[Row], varied: list[str], ranked: bool) -> Iterator[s
         | {"diverged": row["diverged"], "stopped": row["stopped"]}
         for row in rows[:BEST]
     ]
+    stopped = sum(row["stopped"] > 0 for row in summary)
     if ranked and len(summary) > BEST:
-        yield f"The {BEST} of {len(summary)} settings with the greatest greedy return.\n"
+        which = "that came furthest, of these those with" if stopped else "with"
+        yield f"The {BEST} of {len(summary)} settings {which} the greatest greedy return.\n"
     if not ranked:
         yield "One seed each: values without intervals, in the order of the sweep. One seed ranks no settings.\n"
     yield _table(table, list(table[0]))
-    if stopped := sum(row["stopped"] > 0 for row in summary):
+    if stopped:
         yield (
             f"{stopped} of {len(summary)} settings were stopped at a rung: they show what they had come to then, rank"
             " after those that went to the end, those that came further first, and have crosses in the pictures.\n"

@@ -1,5 +1,6 @@
 """A sweep's results, from memory and from disk, and its report."""
 
+import json
 import re
 
 import jax
@@ -129,6 +130,14 @@ def test_a_lane_without_a_policy_is_named(swept):
         runs.policy(0, 99)
 
 
+def test_a_policy_that_plays_again_says_from_where_and_why_its_returns_are_others(swept, capsys):
+    path, _ = swept
+    assert main(["evaluate", str(path), "--episodes", "3"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("recorded: greedy return at the end of training; the")
+    assert main(["evaluate", str(path), "--episodes", "3", "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)[0]) >= {"recorded", "pure"}
+
+
 def test_what_is_no_run_and_what_is_damaged_is_said(swept, tmp_path):
     with pytest.raises(RunError, match="holds no run"):
         jaxq.load(tmp_path)
@@ -184,7 +193,7 @@ def test_a_functions_sweep_has_a_report_too(tmp_path):
         assert str(row["result"]) in text
 
 
-def test_a_report_of_a_halved_sweep_compares_only_settings_that_went_to_the_end(tmp_path):
+def test_a_report_of_a_halved_sweep_compares_only_settings_that_went_to_the_end(tmp_path, capsys):
     path = tmp_path / "run"
     long = {"max_env_steps": 12_000, "max_episodes": 2000, "stop": "none"}
     runs = jaxq.sweep("q-learning", gamma=[0.5, 0.8, 0.9, 0.99], seeds=2, halving=2, rungs=1, out=path, **long)
@@ -197,6 +206,8 @@ def test_a_report_of_a_halved_sweep_compares_only_settings_that_went_to_the_end(
     assert "2 of 4 settings were stopped at a rung: they show what they had come to then" in text
     against = text[text.index(" against those that follow it") : text.index("## Learning")]
     assert re.findall(r"^\| (\d) \|", against, re.MULTILINE) == [str(*{*went} - {runs.best()["config"]})]
+    assert main(["evaluate", str(path), "--episodes", "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["config"] in went
     lane = re.search(r"Setting (\d), seed (\d), with a greedy return", text)
     assert int(lane[1]) in went
 

@@ -47,7 +47,9 @@ def sensitivity(lanes: pa.Table, axis: str, varied: Sequence[str], metric: str =
     look: dict[str, Any] = {"color": "0.55", "linestyle": "none", "alpha": 0.9 if few else 0.5, "zorder": 2}
     handles, labels = [], []
     if ended.any():
-        handles += axes.plot(x[ended], heights[ended], marker=".", markersize=7 if few else 3, **look)
+        stands_out: dict[str, Any] = {} if ended.all() else {"color": "black", "alpha": 0.9, "zorder": 2.5}
+        size = 7 if few or not ended.all() else 3
+        handles += axes.plot(x[ended], heights[ended], marker=".", markersize=size, **look | stands_out)
         labels.append("a setting" if several else "a setting, its one seed")
     if not ended.all():
         handles += axes.plot(x[~ended], heights[~ended], marker=STOPPED, markersize=5 if few else 3, **look)
