@@ -86,7 +86,10 @@ class DQNSettings(Training):
 
     learning_rate: float = number(1e-4, "step size of the optimiser at the first update", gt=0)
     learning_rate_end: float | None = number(
-        None, "step size at max_env_steps, linear between; the same if unset", ge=0
+        None, "step size after learning_rate_decay, linear between; the same if unset", ge=0
+    )
+    learning_rate_decay: int | None = number(
+        None, "env steps over which the step size falls; max_env_steps if unset", ge=1, le=NO_LIMIT
     )
     gamma: float = number(0.99, "discount", **Probability)
     tau: float = number(0.005, "share of the online network that a target update takes", **Probability)

@@ -171,7 +171,8 @@ def _(settings: DQNSettings, impl: str) -> Program:
 def _(settings: DQNSettings) -> Hypers:
     per_round = settings.num_envs * settings.steps_per_update
     end = settings.learning_rate if settings.learning_rate_end is None else settings.learning_rate_end
-    updates = max(1, (settings.max_env_steps - settings.learning_starts) // per_round)
+    falls = settings.max_env_steps if settings.learning_rate_decay is None else settings.learning_rate_decay
+    updates = max(1, (falls - settings.learning_starts) // per_round)
     given = {name: getattr(settings, name) for name in DQNHypers._fields if hasattr(settings, name)}
     agent = DQNHypers(**{**given, "learning_rate_end": end, "anneal_updates": updates})
     return as_numpy(Hypers(_numbers(settings.env), agent, _limits(settings)))

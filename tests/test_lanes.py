@@ -78,6 +78,20 @@ def test_updates_start_when_enough_is_stored_and_the_learning_rate_ends_with_the
             assert result.lane.hypers.agent.anneal_updates == result.updates - 1  # as many were before the last
 
 
+def test_the_step_size_falls_over_its_own_number_of_env_steps():
+    changed = NETWORK | {"num_envs": 2, "steps_per_update": 3, "max_env_steps": 2000, "learning_rate_end": 1e-5}
+    fell, all_along = (
+        programs.hypers(settings_of("article-dqn", **changed, learning_rate_decay=steps)[0]).agent
+        for steps in (1000, None)
+    )
+    assert fell.anneal_updates == (1000 - changed["learning_starts"]) // 6
+    assert all_along.anneal_updates == (2000 - changed["learning_starts"]) // 6
+    assert fell._replace(anneal_updates=0) == all_along._replace(anneal_updates=0)
+    steps = changed["learning_starts"]  # before the first update
+    early = programs.hypers(settings_of("article-dqn", **changed, learning_rate_decay=steps)[0]).agent
+    assert early.anneal_updates == 1
+
+
 def test_episodes_of_many_environments_and_steps_in_a_round_are_told_apart():
     envs, steps, starts = 3, 5, 40
     changed = {"num_envs": envs, "steps_per_update": steps, "learning_starts": starts, "max_env_steps": 2000}
