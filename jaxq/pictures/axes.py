@@ -132,7 +132,8 @@ def _cross_out(axes: Axes, lanes: pa.Table, across: np.ndarray, up: np.ndarray) 
     if not crossed:
         return []
     at = np.array(crossed, float)
-    return [axes.scatter(at[:, 0] - 0.38, at[:, 1] + 0.38, c="0.6", marker=STOPPED, s=16, linewidths=1)]
+    look: dict[str, Any] = {"c": "white", "edgecolors": "black", "linewidths": 0.6}  # can be seen on every colour
+    return [axes.scatter(at[:, 0] - 0.38, at[:, 1] + 0.38, marker=STOPPED.upper(), s=36, **look)]
 
 
 def _dots(axes: Axes, lanes: pa.Table, x: str, y: str, values: np.ndarray) -> tuple[Any, list[Artist]]:
