@@ -27,7 +27,7 @@ COMMANDS = {
     "dqn, 64 settings, 16 seeds": [
         *("dqn", "--seeds", "16", "--learning-rate", *RATES, "--gamma", "0.9", "0.95", "0.99", "0.995"),
         *("--target-period", "50", "200", "--max-env-steps", "9000", "--tau", "1", "--epsilon-decay", "50000"),
-        *("--learning-rate-end", "5e-5", "--buffer-size", "10000", "--eval-episodes", "10"),
+        *("--learning-rate-end", "5e-5", "--buffer-size", "10000", "--eval-episodes", "10", "--stop", "none"),
     ],
 }
 
