@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 from test_pictures_tables import (
     EMPTY_CURVES,
     EMPTY_LANES,
@@ -173,7 +174,20 @@ def test_a_curve_begins_at_its_first_point_and_is_the_median_of_the_latest_retur
     assert 500 <= x[0] < 510
     np.testing.assert_allclose(y, np.where(x < 1000, 51, 101))
     band = left.collections[0].get_paths()[0].vertices[:, 1]
-    assert {band.min(), band.max()} == {50.5, 101.5}  # the quartiles of 50, 51, 52 and of 100, 101, 102
+    assert {band.min(), band.max()} == {50, 102}  # three seeds have a range and no interval
+
+
+@pytest.mark.parametrize("seeds", [2, 5, 6, 17, 100])
+def test_the_band_is_the_interval_of_the_median(seeds):
+    values = np.random.default_rng(seeds).permutation(np.arange(1.0, seeds + 1))
+    lanes = [lane(0, seed) for seed in range(seeds)]
+    left = draw(lanes, [point(0, seed, 500, values[seed]) for seed in range(seeds)], {0: "s"}).axes[0]
+    band = left.collections[0].get_paths()[0].vertices[:, 1]
+    interval = scipy.stats.quantile_test(values, p=0.5).confidence_interval(0.95)
+    low, high = np.where(np.isnan(interval), (1, seeds), interval)
+    assert (band.min(), band.max()) == (low, high)
+    assert np.isnan(interval).any() == (seeds < 6)
+    assert left.get_ylabel().endswith("range" if seeds < 6 else "95 % interval")
 
 
 def test_a_median_does_not_dip_where_no_lane_half_way_does():
@@ -265,7 +279,7 @@ def test_a_sweep_without_a_finished_episode_or_a_lane_says_so():
 
 def test_the_labels_say_what_is_counted():
     left, right = draw(*sweep(2), {0: "a", 1: "b"}).axes
-    assert left.get_ylabel() == "return: median, quartiles of 3 lanes"
+    assert left.get_ylabel() == "return: median of 3 lanes, range"
     assert right.get_ylabel() == "share of 3 lanes"
     left, right = draw(*sweep(1, seeds=1), {0: "a"}).axes
     assert left.get_ylabel() == "return per episode"

@@ -12,16 +12,20 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter
 from pyarrow import compute
+from scipy.stats import binom
 
+from jaxq import stats
 from jaxq.pictures.columns import by_setting, can_rank, numbers, rungs, told_of_stopped, words
 from jaxq.pictures.dress import COLORS, GRID, MOST_SETTINGS, STOPPED, dress, marks, nothing, with_legend
 
+#: So many values have a 95 % interval of their median within them.
+FEWEST = 6
 #: The axes of a sweep are cut when the longest lane ran more than this many times as long as 98 of 100.
 MUCH_LONGER = 1.5
 
 
 def learning_curves(lanes: pa.Table, curves: pa.Table, labels: Mapping[int, str]) -> Figure:
-    """A sweep's picture: per setting the median training return with its quartiles, the same of greedy evaluations
+    """A sweep's picture: per setting the median training return with its 95 % interval, the same of greedy evaluations
     where there were some while training, and the share of solved lanes where a setting looks for success, over
     environment steps. A lane's curve begins at its first point, and a lane that ended keeps its last return; of a
     setting that halving stopped the lines end where its lanes do. At most eight settings, those that went to the end
@@ -50,7 +54,8 @@ def learning_curves(lanes: pa.Table, curves: pa.Table, labels: Mapping[int, str]
     middle, last_panel = others[:watched], others[watched:]
     counts = {len(groups[c]) for c in shown}
     of = f"{n} lane{'s' * (n > 1)}" if len(counts) == 1 and (n := max(counts)) else "the setting's lanes"
-    statistic = "return per episode" if counts == {1} else f"return: median, quartiles of {of}"
+    band = "95 % interval" if max(counts) >= FEWEST else "range"
+    statistic = "return per episode" if counts == {1} else f"return: median of {of}, {band}"
     dress(left, "return of training episodes", "environment steps", statistic)
     for axes in middle:
         dress(axes, "return of greedy episodes", "environment steps", statistic)
@@ -98,10 +103,19 @@ def _draw(axes: Axes, grid: np.ndarray, values: np.ndarray, look: dict[str, Any]
     known = np.isfinite(values).any(axis=0)
     if known.any():
         # Column by column: of thousands of lanes a copy of all is much memory.
-        quartiles = [np.nanpercentile(column, [25, 50, 75]) for column in (values[:, i] for i in np.flatnonzero(known))]
-        low, middle, high = np.array(quartiles, float).T
+        low, middle, high = np.array([_median(values[:, i]) for i in np.flatnonzero(known)]).T
         axes.plot(grid[known], middle, **(marks(1) if known.sum() == 1 else {}) | look)
         axes.fill_between(grid[known], low, high, color=look["color"], alpha=0.15, linewidth=0)
+
+
+def _median(values: np.ndarray) -> tuple[float, float, float]:
+    """The median with the ends of its 95 % interval, which are two of the values: how many are below the true median is
+    binomial (n, 1/2). Of fewer than FEWEST values it would be wider than they are: then their least and greatest.
+    Conover, *Practical Nonparametric Statistics*, 1999.
+    """
+    ordered = np.sort(values[np.isfinite(values)])
+    cut = max(int(binom.ppf((1 - stats.CONFIDENCE) / 2, len(ordered), 0.5)) - 1, 0)
+    return float(ordered[cut]), float(np.median(ordered)), float(ordered[len(ordered) - 1 - cut])
 
 
 def _on_grid(seeds: np.ndarray, steps: np.ndarray, returns: np.ndarray, grid: np.ndarray) -> np.ndarray:
