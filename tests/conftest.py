@@ -20,6 +20,13 @@ jax.config.update("jax_debug_key_reuse", True)
 REFERENCE = Path(__file__).parent / "reference"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_programs_go_with_their_module():
+    """Thousands of compiled programs would be gigabytes in the end."""
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture(scope="session")
 def tutorial():
     """The tutorial's table agent in plain NumPy over Gymnasium."""
