@@ -159,13 +159,14 @@ class RunDirectory:
         Raises RunError where the run was begun otherwise.
         """
         agreed = self.manifest["agreed"]
-        before = agreed.setdefault(what, value)
+        before = agreed.get(what, value)
         if before != value:
             if not self._allow:
                 raise RunError(manifest.otherwise(self.path, f"{what} was {before}, is {value}"))
             manifest.note(self.manifest, [(what, before, value)])
+        if agreed.get(what) != value:
             agreed[what] = value
-        self._write_manifest()
+            self._write_manifest()
 
     def decide(self, rung: Mapping[str, object]) -> None:
         """Records what halving decided at a rung."""
