@@ -15,7 +15,7 @@ demo: $(READY)
 	$(BIN)/jaxq train article-q --out runs/demo-q --overwrite
 
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist worksteal
 
 lint: $(READY)
 	$(BIN)/ruff check .
