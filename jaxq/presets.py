@@ -200,7 +200,8 @@ def preset(name: str) -> Preset:
 
 def settle(base: Preset, **overrides: Any) -> Any:
     """The preset's settings with some replaced; ``env`` is a world's name or the user's own function of numbers, and
-    ``env.length`` one of its numbers.
+    ``env.length`` one of its numbers. Where that has no reward threshold, a preset's own stop rule that needs one gives
+    way to none.
 
     Raises ValueError that names the field, the value and what is allowed.
     """
@@ -211,4 +212,6 @@ def settle(base: Preset, **overrides: Any) -> Any:
         if name not in known:
             raise ValueError(f"{name}: {base.name} has no such setting{nearest(name, known)}")
     numbers = {name.removeprefix("env."): overrides.pop(name) for name in list(overrides) if name.startswith("env.")}
+    if settings.stop == "gymnasium" and env.reward_threshold is None:
+        overrides = {"stop": "none", **overrides}
     return changed(settings, {**overrides, "env": changed(env, numbers, prefix="env.")})

@@ -285,3 +285,12 @@ def test_a_number_that_cannot_be_is_named_with_its_environment(env, values, said
         plan("q-learning", env=env, **{f"env.{name}": value for name, value in values.items()})
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_an_environment_without_a_threshold_is_not_held_to_one():
+    preset_of = preset("dqn")
+    assert settle(preset_of).stop == "gymnasium"
+    assert settle(preset_of, env=walk).stop == "none"
+    assert settle(preset_of, env=walk, stop="window").stop == "window"
+    with pytest.raises(ValueError, match=r"stop: gymnasium is not allowed: .*walk has no reward threshold"):
+        settle(preset_of, env=walk, stop="gymnasium")
