@@ -22,10 +22,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
+import jax.typing
 import numpy as np
 
 Array = jax.Array
 Key = jax.Array
+ArrayLike = jax.typing.ArrayLike  # what a function of arrays takes: JAX's, NumPy's, numbers
 Scalar = jax.Array | np.ndarray | float  # a number that may be a tracer
 PyTree = Any
 

@@ -12,7 +12,8 @@ import pytest
 from scipy import stats
 
 from jaxq.agents import tabular as module
-from jaxq.agents.tabular import TabularHypers, TabularState, add_to_table, tabular
+from jaxq.agents.tabular import TabularHypers, TabularState, tabular
+from jaxq.rules import tables, update_table
 from jaxq.types import Clock, Transition
 
 COUNTS = (1, 1, 6, 3)
@@ -268,7 +269,7 @@ def test_adding_to_one_cell_equals_numpy_in_small_and_large_tables(shape):
     table = rng.normal(size=shape).astype(np.float32)
     corners = [(0, 0), (shape[0] - 1, 0), (0, shape[1] - 1), (shape[0] - 1, shape[1] - 1)]
     cells = corners + [tuple(rng.integers(shape)) for _ in range(10)]
-    write = jax.jit(add_to_table)
+    write = jax.jit(update_table)
     for state, action in cells:
         expected = table.copy()
         expected[state, action] += np.float32(0.3)
@@ -278,8 +279,8 @@ def test_adding_to_one_cell_equals_numpy_in_small_and_large_tables(shape):
 @pytest.mark.parametrize("cells", [0, 10**9], ids=["scatter", "dense"])
 def test_both_ways_of_writing_make_the_same_table(record, monkeypatch, cells):
     bootstrap_terminal, it = record
-    monkeypatch.setattr(module, "DENSE_CELLS", cells)
-    program = str(jax.make_jaxpr(lambda table: add_to_table(table, 1, 1, 1.0))(jnp.zeros((STATES, ACTIONS))))
+    monkeypatch.setattr(tables, "DENSE_CELLS", cells)
+    program = str(jax.make_jaxpr(lambda table: update_table(table, 1, 1, 1.0))(jnp.zeros((STATES, ACTIONS))))
     assert ("scatter" in program) == (cells == 0)
     state, _ = run_jax(it, np.float32, bootstrap_terminal)
     monkeypatch.undo()
@@ -289,12 +290,12 @@ def test_both_ways_of_writing_make_the_same_table(record, monkeypatch, cells):
 
 
 def test_a_table_larger_than_the_dense_limit_learns_as_a_small_one():
-    large, small = make_agent(num_states=module.DENSE_CELLS), make_agent()
+    large, small = make_agent(num_states=tables.DENSE_CELLS), make_agent()
     experience, clock = random_experience(8, (6, 2)), make_clock(30)
     state = small.init(key(), experience)
     expected, _ = small.update(key(), state, experience, clock)
     ours, _ = large.update(key(), large.init(key(), experience), experience, clock)
-    assert ours.table.size > module.DENSE_CELLS >= expected.table.size
+    assert ours.table.size > tables.DENSE_CELLS >= expected.table.size
     np.testing.assert_allclose(ours.table[:STATES], expected.table[:STATES], rtol=1e-6, atol=1e-7)
     assert not np.any(ours.table[STATES:])
 
@@ -302,7 +303,7 @@ def test_a_table_larger_than_the_dense_limit_learns_as_a_small_one():
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.int16, np.int32])
 def test_states_and_actions_may_be_small_integers(dtype):
     states = np.iinfo(dtype).max if np.iinfo(dtype).bits == 8 else 255
-    written = add_to_table(jnp.zeros((states + 1, 2)), jnp.asarray(states, dtype), jnp.asarray(1, dtype), 1.0)
+    written = update_table(jnp.zeros((states + 1, 2)), jnp.asarray(states, dtype), jnp.asarray(1, dtype), 1.0)
     np.testing.assert_array_equal(np.argwhere(written), [[states, 1]])
 
 

@@ -88,16 +88,15 @@ def update(
     q_t = values(target, batch.obs_t)
     greedy_t = jax.vmap(rules.greedy_value)(q_t)
     v_t = jax.vmap(rules.double_value)(q_t, values(online, batch.obs_t)) if double else greedy_t
-    discount_t = gamma * batch.continues_t
+    target_tm1 = jax.vmap(rules.td_target)(batch.r_t, gamma * batch.continues_t, v_t)
 
     def objective(params: PyTree) -> Array:
-        errors = jax.vmap(rules.td_error)(values(params, batch.obs_tm1), batch.a_tm1, batch.r_t, discount_t, v_t)
-        return jnp.mean(loss(errors))
+        return jnp.mean(loss(jax.vmap(rules.td_error)(values(params, batch.obs_tm1), batch.a_tm1, target_tm1)))
 
     value, grads = jax.value_and_grad(objective)(online)
     steps, opt_state = optimiser.update(grads, opt_state, online)
     online = optax.apply_updates(online, steps)
-    target = optax.incremental_update(online, target, tau)
+    target = rules.polyak_update(online, target, tau)
     return Updated(online, target, opt_state, Metrics(loss=value, max_q=jnp.mean(greedy_t)))
 
 
@@ -168,8 +167,7 @@ def dqn(
         learning_rate = schedules.linear(
             clock.updates, hypers.learning_rate, hypers.learning_rate_end, hypers.anneal_updates
         )
-        # "Every p updates" is a step size that is tau or 0: a cond would run both branches under vmap.
-        tau = jnp.where(clock.updates % hypers.target_period == 0, hypers.tau, 0.0)
+        tau = rules.periodic_step(clock.updates, hypers.target_period, hypers.tau)
         online, target, opt_state, metrics = update(
             state.online,
             state.target,

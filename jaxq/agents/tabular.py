@@ -7,15 +7,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import DTypeLike
 
 from jaxq import policies, rules, schedules
+from jaxq.rules import tables
 from jaxq.types import Agent, Array, Clock, Key, Metrics, Transition
 
-#: Tables up to this many cells are written densely: on a CPU a masked pass over a small table is vector code, where
-#: a scatter is a loop.
-DENSE_CELLS = 512
 #: A small table is a multiple of so many cells, the widest vector of float32, so that no pass over it has a remainder.
 WHOLE_CELLS = 16
 
@@ -67,7 +64,7 @@ def tabular(
         del key, example
         whole = WHOLE_CELLS // math.gcd(WHOLE_CELLS, num_actions)
         rows = -(-num_states // whole) * whole
-        if rows * num_actions > DENSE_CELLS:
+        if rows * num_actions > tables.DENSE_CELLS:
             rows = num_states
         return TabularState(jnp.full((rows, num_actions), hypers.initial_value, dtype))
 
@@ -79,7 +76,7 @@ def tabular(
         discount_t = hypers.gamma * (1.0 if bootstrap_terminal else continues_t)
         q_t = table[s_t]
         delta = rules.q_learning(table[s_tm1], a_tm1, r_t, discount_t, q_t).astype(dtype)
-        table = add_to_table(table, s_tm1, a_tm1, step_size.astype(dtype) * delta)
+        table = rules.update_table(table, s_tm1, a_tm1, step_size.astype(dtype) * delta)
         return table, Metrics(0.5 * jnp.square(delta), jnp.max(q_t))
 
     def update(key: Key, state: TabularState, experience: Transition, clock: Clock) -> tuple[TabularState, Metrics]:
@@ -103,23 +100,3 @@ def tabular(
         return policy[obs]
 
     return Agent(init, act, exploration, update, observe, policy, q_values)
-
-
-def add_to_table(table: Array, state: Array, action: Array, amount: Array) -> Array:
-    """The table with ``amount`` added to one cell.
-
-    q[state, action] += amount. Shapes: table [S, A], the rest [] -> [S, A].
-
-    >>> add_to_table(jnp.zeros((2, 2)), jnp.array(1), jnp.array(0), 3.0).tolist()
-    [[0.0, 0.0], [3.0, 0.0]]
-    """
-    if table.size > DENSE_CELLS:
-        return table.at[state, action].add(amount)
-    # Masked sums of one term: XLA fuses no reduction into a loop that reads it again and again. As plain arithmetic
-    # cell and amount, with all that leads to them, would be computed within the loop over the table, lane by lane.
-    actions = jnp.arange(table.shape[1])
-    cell = jnp.sum(jnp.where(actions == action, jnp.asarray(state, jnp.int32) * table.shape[1] + actions, 0))
-    amount = jnp.sum(jnp.where(actions == action, amount, 0))
-    flat = table.reshape(-1)
-    # An array of numbers, not arange: XLA counts an iota in 64 bits, half as many at a time.
-    return (flat + jnp.where(np.arange(flat.size, dtype=np.int32) == cell, amount, 0)).reshape(table.shape)
