@@ -1,0 +1,46 @@
+"""Errors for what is not one transition: shapes by letters, the same in every docstring of the rules.
+
+====  ==========================================
+A     actions
+T     time, steps of one trajectory
+K     atoms of a categorical distribution, or members of an ensemble
+N     quantiles
+S     states of a table
+====  ==========================================
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from jaxq.types import Array, ArrayLike
+
+
+def arrays(**arguments: tuple[ArrayLike, str]) -> tuple[Array, ...]:
+    """The arguments as JAX's arrays, where each has the axes that its letters name: "" for a scalar, "TA" for [T, A].
+
+    A letter is one length in all arguments; ``a_tm1`` and ``a_t`` must be integers. Raises ValueError for a shape and
+    TypeError for a dtype, in one line that names the argument.
+
+    >>> arrays(q_tm1=(jnp.zeros(3), "A"), q_t=(jnp.zeros(2), "A"))
+    Traceback (most recent call last):
+    ValueError: q_t: shape (2,) is not allowed: [A], A = 3 as in q_tm1
+    """
+    lengths: dict[str, tuple[int, str]] = {}
+    found = []
+    for name, (given, letters) in arguments.items():
+        value = jnp.asarray(given)
+        allowed = f"[{', '.join(letters)}]"
+        if value.ndim != len(letters):
+            batch = "; a rule sees one transition, jax.vmap adds a batch" if value.ndim > len(letters) else ""
+            raise ValueError(f"{name}: shape {value.shape} is not allowed: {allowed}{batch}")
+        for letter, length in zip(letters, value.shape, strict=True):
+            known, first = lengths.setdefault(letter, (length, name))
+            if known != length:
+                raise ValueError(
+                    f"{name}: shape {value.shape} is not allowed: {allowed}, {letter} = {known} as in {first}"
+                )
+        if name in ("a_tm1", "a_t") and not jnp.issubdtype(value.dtype, jnp.integer):
+            raise TypeError(f"{name}: dtype {value.dtype} is not allowed: an integer")
+        found.append(value)
+    return tuple(found)
