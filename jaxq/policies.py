@@ -41,6 +41,19 @@ def epsilon_greedy(key: Key, q: Array, epsilon: Array) -> Array:
     return jnp.where(explore, _below(words[1], q.shape[-1]), greedy(q))
 
 
+def epsilon_greedy_probs(q: Array, epsilon: Array) -> Array:
+    """The probabilities with which ``epsilon_greedy`` takes each action.
+
+    P(a) = epsilon / A + (1 - epsilon) 1(a = greedy(q)). Shapes: q [A], epsilon [] -> [A]. Sutton and Barto, 2018,
+    section 2.2.
+
+    >>> epsilon_greedy_probs(jnp.array([0.0, 2.0]), jnp.array(0.5)).tolist()
+    [0.25, 0.75]
+    """
+    actions = q.shape[-1]
+    return epsilon / actions + (1 - epsilon) * (jnp.arange(actions) == greedy(q))
+
+
 def boltzmann(key: Key, q: Array, temperature: Array) -> Array:
     """An action drawn in proportion to exp(q / temperature).
 

@@ -6,6 +6,7 @@ each distinct combination is compiled once. Imports no jax: the command line ans
 
 from __future__ import annotations
 
+import inspect
 import math
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -15,6 +16,7 @@ from pydantic import SerializeAsAny, model_validator
 from jaxq import worlds
 from jaxq.settings import NO_LIMIT, Settings, changed, number, structure
 from jaxq.suggest import nearest
+from jaxq.table_parts import StepSizeBy, Target, TraceKind, unfit
 from jaxq.worlds import World
 
 Probability = {"ge": 0.0, "le": 1.0}
@@ -55,7 +57,8 @@ class Training(Settings):
 
 
 class TabularSettings(Training):
-    """Tabular Q-learning on the discretised CartPole, under the tutorial's names."""
+    """A learner with a table on the discretised CartPole, under the tutorial's names; its parts are those of
+    ``table_parts``."""
 
     epsilon_min: float = number(0.01, "least exploration rate", **Probability)
     epsilon_max: float = number(1.0, "greatest exploration rate", **Probability)
@@ -63,13 +66,34 @@ class TabularSettings(Training):
     alpha_max: float = number(0.5, "greatest step size", **Probability)
     decay_coeff: float = number(25.0, "episodes before epsilon and alpha start to fall", gt=0)
     gamma: float = number(0.99, "discount", **Probability)
-    initial_value: float = number(0.0, "value of every cell of the table at the start", ge=-1e6, le=1e6)
+    initial_value: float = number(0.0, "value of every cell at the start; a high one is optimism", ge=-1e6, le=1e6)
+    trace_decay: float = number(0.0, "lambda: how much of what follows reaches back, with traces", **Probability)
+    visit_power: float = number(
+        1.0, "with step_size visits the step size is alpha_max / visits^this, at least alpha_min", **Probability
+    )
     position_bound: float = number(4.8, "m: positions are bucketed between minus and plus this", **Scale)
     velocity_bound: float = number(0.5, "m/s: likewise for velocities", **Scale)
     angle_bound: float = number(2 * 12 * 2 * math.pi / 360, "rad: likewise for pole angles", **Scale)
     angular_velocity_bound: float = number(math.radians(50), "rad/s: likewise for pole velocities", **Scale)
     num_buckets: tuple[int, int, int, int] = structure((1, 1, 6, 3), "buckets per coordinate, as 1,1,6,3")
+    target: Target = structure(
+        "greedy", "what a transition bootstraps from: the greedy value, the next action's, or the expected one"
+    )
+    double: bool = structure(False, "two tables: one selects or learns, the other values")
+    n_steps: int = structure(1, "rewards before the bootstrap", ge=1, le=1000)
+    traces: TraceKind = structure("none", "eligibility traces")
+    offline: bool = structure(False, "gather increments in traces and apply them where the episode is cut")
+    planning_steps: int = structure(0, "updates from a learned model after each step (Dyna-Q)", ge=0, le=1000)
+    model_outcomes: int = structure(1, "last outcomes that the model keeps of each state and action", ge=1, le=1000)
+    step_size: StepSizeBy = structure("episodes", "what step sizes follow: the tutorial's episodes, or a cell's visits")
     bootstrap_terminal: bool = structure(False, "bootstrap through the terminal state, as the tutorial's update does")
+
+    @model_validator(mode="after")
+    def _together(self) -> TabularSettings:
+        parts = inspect.signature(unfit).parameters
+        if wrong := unfit(**{name: getattr(self, name) for name in parts}):
+            raise ValueError(wrong)
+        return self
 
     @model_validator(mode="after")
     def _ordered(self) -> TabularSettings:

@@ -5,6 +5,7 @@ One structure is one compiled program; everything in Hypers is traced.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import singledispatch
@@ -19,6 +20,7 @@ from jaxq.envs import discretise, registered, tutorial_edges
 from jaxq.experiment import Limits, experiment
 from jaxq.presets import DQNSettings, TabularSettings, Training
 from jaxq.settings import NO_LIMIT, Settings
+from jaxq.table_parts import unfit
 from jaxq.types import Agent, Env, Experiment, Hypers
 from jaxq.worlds import World
 
@@ -106,6 +108,7 @@ def _(settings: TabularSettings) -> Pieces:
             num_states=int(env.num_states or 0),
             num_actions=env.num_actions,
             bootstrap_terminal=settings.bootstrap_terminal,
+            **{name: getattr(settings, name) for name in inspect.signature(unfit).parameters},
         )
 
     return Pieces(make_env, make_agent)

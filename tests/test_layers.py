@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parent.parent / "jaxq"
 LAYERS = [
     ["types", "families", "suggest", "cpu", "machine", "run_files", "streams", "exits", "sources", "bench.worker"],
     ["bench.contest", "bench.report", "bench.memory", "bench.affinity", "bench"],
-    ["settings", "axes"],
+    ["settings", "axes", "table_parts"],
     ["worlds", "requests"],
     ["prng", "elementary", "rules.shapes", "policies", "presets"],
     ["rules.values", "rules.tables", "rules.target_networks", "rules.categorical", "rules.quantile", "schedules"],
@@ -35,6 +35,7 @@ LAYERS = [
         "evaluation",
     ],
     ["envs", "agents", "stats", "manifest", "sweep_files"],
+    ["agents.backups", "agents.model"],
     ["agents.tabular", "agents.dqn"],
     ["experiment"],
     ["programs", "compile_cache"],

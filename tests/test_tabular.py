@@ -19,7 +19,15 @@ from jaxq.types import Clock, Transition
 COUNTS = (1, 1, 6, 3)
 STATES, ACTIONS, STEPS = 18, 2, 10_000
 NUMBERS = TabularHypers(
-    alpha_min=0.1, alpha_max=0.5, epsilon_min=0.01, epsilon_max=1.0, decay_coeff=25.0, gamma=0.99, initial_value=0.0
+    alpha_min=0.1,
+    alpha_max=0.5,
+    epsilon_min=0.01,
+    epsilon_max=1.0,
+    decay_coeff=25.0,
+    gamma=0.99,
+    initial_value=0.0,
+    trace_decay=0.0,
+    visit_power=1.0,
 )
 
 
@@ -327,7 +335,7 @@ def test_the_policy_is_the_table_and_warm_up_teaches_nothing():
 
 @pytest.mark.parametrize("counts", [{"num_states": 0}, {"num_actions": 0}, {"num_states": -3}])
 def test_a_count_below_1_is_an_error(counts):
-    with pytest.raises(ValueError, match=r"^num_states, num_actions: .* must be at least 1$"):
+    with pytest.raises(ValueError, match=r"^num_(states|actions): .* must be at least 1$"):
         make_agent(**counts)
 
 
