@@ -13,7 +13,7 @@ from typing import Any
 
 from jaxq import commands, exits, flags, streams, sweep_files
 from jaxq.flags import COMMANDS, UsageError
-from jaxq.presets import preset, presets
+from jaxq.presets import listed, preset, presets
 from jaxq.suggest import nearest
 
 
@@ -74,9 +74,7 @@ def _of_a_run(command: str, words: list[str]) -> int:
 def _list() -> int:
     from jaxq.envs import names
 
-    print("presets")
-    for p in presets():
-        print(f"  {p.name:14}{p.summary}")
+    print(f"presets\n{listed()}")
     print("environments")
     for name in names():
         print(f"  {name}")

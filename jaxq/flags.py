@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from jaxq import __version__, worlds
 from jaxq.axes import METHODS, SAMPLES, Range
-from jaxq.presets import Preset, presets
+from jaxq.presets import Preset, listed
 from jaxq.settings import NO_LIMIT
 from jaxq.suggest import nearest
 from jaxq.worlds import World
@@ -103,11 +103,10 @@ def overview() -> argparse.ArgumentParser:
 
 def preset_overview(command: str) -> argparse.ArgumentParser:
     """What ``jaxq COMMAND --help`` says."""
-    lines = "\n".join(f"  {p.name:14}{p.summary}" for p in presets())
     return Parser(
         prog=f"jaxq {command}",
         usage=_USAGE[command],
-        description=f"{COMMANDS[command].capitalize()}.\n\npresets:\n{lines}",
+        description=f"{COMMANDS[command].capitalize()}.\n\npresets:\n{listed()}",
         epilog=f"jaxq {command} PRESET --help lists every hyperparameter",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,

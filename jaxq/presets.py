@@ -170,6 +170,29 @@ class Preset:
 
 
 _TUTORIAL_Q: dict[str, Any] = {"max_episodes": 5000, "stop": "streak"}
+#: Discretised, CartPole is not the deterministic world that one outcome is a model of, and a constant step size gives
+#: the few outcomes that a model keeps too much weight.
+_DYNA: dict[str, Any] = {
+    "model_outcomes": 100,
+    "step_size": "visits",
+    "visit_power": 0.6,
+    "alpha_max": 1.0,
+    "alpha_min": 0.0,
+}
+_MONTE_CARLO: dict[str, Any] = {
+    "traces": "accumulating",
+    "trace_decay": 1.0,
+    "offline": True,
+    "step_size": "visits",
+    "alpha_max": 1.0,
+    "alpha_min": 0.0,
+}
+
+
+def _table(name: str, summary: str, **parts: Any) -> Preset:
+    return Preset(name, summary, TabularSettings(**_TUTORIAL_Q, **parts))
+
+
 _PRESETS = (
     Preset(
         "article-q",
@@ -177,6 +200,14 @@ _PRESETS = (
         TabularSettings(**_TUTORIAL_Q, bootstrap_terminal=True),
     ),
     Preset("q-learning", "the same, with no bootstrap after a termination", TabularSettings(**_TUTORIAL_Q)),
+    _table("sarsa", "the value of the action that is taken next", target="sarsa"),
+    _table("expected-sarsa", "the expected value of the policy that acts", target="expected"),
+    _table("double-q-learning", "two tables: one selects, the other values", double=True),
+    _table("n-step-q-learning", "four rewards before the bootstrap", n_steps=4),
+    _table("q-lambda", "Watkins's Q(lambda), replacing traces", traces="replacing", trace_decay=0.5),
+    _table("sarsa-lambda", "SARSA(lambda), replacing traces", target="sarsa", traces="replacing", trace_decay=0.5),
+    _table("dyna-q", "Q-learning with five updates from a learned model after each step", planning_steps=5, **_DYNA),
+    _table("monte-carlo", "the mean of all returns, learned where an episode ends", target="sarsa", **_MONTE_CARLO),
     Preset(
         "article-dqn",
         "the tutorial's DQN, at its own settings",
@@ -212,6 +243,12 @@ _PRESETS = (
 def presets() -> tuple[Preset, ...]:
     """All presets, in the order in which they are listed."""
     return _PRESETS
+
+
+def listed() -> str:
+    """A line per preset: its name and what it is."""
+    width = max(len(p.name) for p in _PRESETS) + 2
+    return "\n".join(f"  {p.name:{width}}{p.summary}" for p in _PRESETS)
 
 
 def preset(name: str) -> Preset:

@@ -33,14 +33,13 @@ def categorical_l2_project(z_p: ArrayLike, probs: ArrayLike, z_q: ArrayLike) -> 
 
     p_q[i] = sum_j probs[j] tent_i(clip(z_p[j], z_q[0], z_q[-1])), where tent_i is 1 at z_q[i], 0 at its neighbours and
     linear between them. The nearest distribution in the Cramer distance; it keeps the mean of what is not clipped.
-    Shapes: z_p, probs [K], z_q [any number of atoms, strictly increasing] -> as z_q. Raises ValueError for other
-    shapes. Bellemare et al., 2017, equation 7.
+    Shapes: z_p, probs [K], z_q [M], strictly increasing -> [M]. Raises ValueError for other shapes. Bellemare et al.,
+    2017, equation 7.
 
     >>> categorical_l2_project(jnp.array([0.5, 9.0]), jnp.array([0.5, 0.5]), jnp.array([0.0, 1.0, 2.0])).tolist()
     [0.25, 0.25, 0.5]
     """
-    z_p, probs = arrays(z_p=(z_p, "K"), probs=(probs, "K"))
-    (z_q,) = arrays(z_q=(z_q, "K"))
+    z_p, probs, z_q = arrays(z_p=(z_p, "K"), probs=(probs, "K"), z_q=(z_q, "M"))
     z = jnp.clip(z_p, z_q[0], z_q[-1])
     gaps = jnp.diff(z_q)
     rises = (z - z_q[:-1, None]) / gaps[:, None]  # from 0 at an atom to 1 at the next one; one row per gap
@@ -60,8 +59,8 @@ def categorical_target(
     """Distribution that one transition moves towards: the successor's, of the selected action, shrunk and shifted.
 
     Phi(r_t + discount_t q_atoms_t, softmax(q_logits_t[argmax_a q_t_selector[a]])), Phi the projection on q_atoms_tm1.
-    Shapes: q_atoms_tm1 [any number], q_atoms_t [K], q_logits_t [A, K], q_t_selector [A], the rest [] -> as q_atoms_tm1.
-    Raises ValueError for other shapes. Bellemare et al., 2017.
+    Shapes: q_atoms_tm1 [M], q_atoms_t [K], q_logits_t [A, K], q_t_selector [A], the rest [] -> [M]. Raises ValueError
+    for other shapes. Bellemare et al., 2017.
 
     >>> atoms, logits = jnp.array([0.0, 1.0, 2.0]), jnp.zeros((1, 3))
     >>> categorical_target(atoms, 1.0, 0.0, atoms, logits, jnp.zeros(1)).round(6).tolist()
@@ -70,7 +69,7 @@ def categorical_target(
     q_logits_t, q_atoms_t, q_t_selector = arrays(
         q_logits_t=(q_logits_t, "AK"), q_atoms_t=(q_atoms_t, "K"), q_t_selector=(q_t_selector, "A")
     )
-    r_t, discount_t, q_atoms_tm1 = arrays(r_t=(r_t, ""), discount_t=(discount_t, ""), q_atoms_tm1=(q_atoms_tm1, "K"))
+    r_t, discount_t, q_atoms_tm1 = arrays(r_t=(r_t, ""), discount_t=(discount_t, ""), q_atoms_tm1=(q_atoms_tm1, "M"))
     probs = jax.nn.softmax(_row(q_logits_t, jnp.argmax(q_t_selector)))
     return categorical_l2_project(r_t + discount_t * q_atoms_t, probs, q_atoms_tm1)
 
@@ -111,7 +110,9 @@ def categorical_double_q_learning(
     >>> round(float(loss), 4)
     0.6931
     """
-    q_logits_tm1, q_atoms_tm1 = arrays(q_logits_tm1=(q_logits_tm1, "AK"), q_atoms_tm1=(q_atoms_tm1, "K"))
+    q_logits_tm1, q_atoms_tm1, q_logits_t = arrays(
+        q_logits_tm1=(q_logits_tm1, "AK"), q_atoms_tm1=(q_atoms_tm1, "K"), q_logits_t=(q_logits_t, "AM")
+    )
     target_tm1 = categorical_target(q_atoms_tm1, r_t, discount_t, q_atoms_t, q_logits_t, q_t_selector)
     return categorical_error(q_logits_tm1, a_tm1, target_tm1)
 
@@ -135,6 +136,7 @@ def categorical_q_learning(
     >>> round(float(categorical_q_learning(atoms, logits, jnp.array(0), 1.0, 0.9, atoms, logits)), 4)
     0.6931
     """
+    q_logits_t, q_atoms_t = arrays(q_logits_t=(q_logits_t, "AK"), q_atoms_t=(q_atoms_t, "K"))
     selector = categorical_values(q_atoms_t, q_logits_t)
     return categorical_double_q_learning(
         q_atoms_tm1, q_logits_tm1, a_tm1, r_t, discount_t, q_atoms_t, q_logits_t, selector

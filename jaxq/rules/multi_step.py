@@ -40,10 +40,17 @@ def n_step_q_learning(
     >>> n_step_q_learning(q_tm1, a_tm1, q_t, a_t, jnp.ones(2), jnp.full(2, 0.5), n=2).tolist()
     [2.5, 3.0]
     """
-    target_q_t, a_t = arrays(target_q_t=(target_q_t, "TA"), a_t=(a_t, "T"))
+    q_tm1, a_tm1, target_q_t, a_t, r_t, discount_t = arrays(
+        q_tm1=(q_tm1, "TA"),
+        a_tm1=(a_tm1, "T"),
+        target_q_t=(target_q_t, "TA"),
+        a_t=(a_t, "T"),
+        r_t=(r_t, "T"),
+        discount_t=(discount_t, "T"),
+    )
     v_t = jax.vmap(values.action_value)(target_q_t, a_t)
     target_tm1 = rescaling.transformed_n_step_returns(tx_pair, r_t, discount_t, v_t, n, cut_t=cut_t)
-    return _errors(q_tm1, a_tm1, target_tm1)
+    return jax.vmap(td_error)(q_tm1, a_tm1, target_tm1)
 
 
 def sarsa_lambda(
@@ -69,10 +76,17 @@ def sarsa_lambda(
     >>> sarsa_lambda(q_tm1, a_tm1, jnp.ones(2), jnp.full(2, 0.5), q_t, a_t, 1.0).tolist()
     [2.5, 3.0]
     """
-    q_t, a_t = arrays(q_t=(q_t, "TA"), a_t=(a_t, "T"))
+    q_tm1, a_tm1, r_t, discount_t, q_t, a_t = arrays(
+        q_tm1=(q_tm1, "TA"),
+        a_tm1=(a_tm1, "T"),
+        r_t=(r_t, "T"),
+        discount_t=(discount_t, "T"),
+        q_t=(q_t, "TA"),
+        a_t=(a_t, "T"),
+    )
     v_t = jax.vmap(values.action_value)(q_t, a_t)
     target_tm1 = rescaling.transformed_lambda_returns(tx_pair, r_t, discount_t, v_t, lambda_, cut_t=cut_t)
-    return _errors(q_tm1, a_tm1, target_tm1)
+    return jax.vmap(td_error)(q_tm1, a_tm1, target_tm1)
 
 
 def q_lambda(
@@ -96,10 +110,12 @@ def q_lambda(
     >>> q_lambda(q_tm1, a_tm1, jnp.ones(2), jnp.full(2, 0.5), q_t, 0.0).tolist()
     [2.0, 3.0]
     """
-    (q_t,) = arrays(q_t=(q_t, "TA"))
-    v_t = jnp.max(jnp.asarray(q_t), axis=-1)
+    q_tm1, a_tm1, r_t, discount_t, q_t = arrays(
+        q_tm1=(q_tm1, "TA"), a_tm1=(a_tm1, "T"), r_t=(r_t, "T"), discount_t=(discount_t, "T"), q_t=(q_t, "TA")
+    )
+    v_t = jnp.max(q_t, axis=-1)
     target_tm1 = rescaling.transformed_lambda_returns(tx_pair, r_t, discount_t, v_t, lambda_, cut_t=cut_t)
-    return _errors(q_tm1, a_tm1, target_tm1)
+    return jax.vmap(td_error)(q_tm1, a_tm1, target_tm1)
 
 
 def retrace(
@@ -129,9 +145,12 @@ def retrace(
     >>> retrace(q_tm1, q_t, a, a, jnp.ones(2), jnp.full(2, 0.5), pi_t, jnp.full(2, 0.5), 1.0, eps=0.0).tolist()
     [2.75, 2.5]
     """
+    q_tm1, q_t, a_tm1, a_t, pi_t = arrays(
+        q_tm1=(q_tm1, "TA"), q_t=(q_t, "TA"), a_tm1=(a_tm1, "T"), a_t=(a_t, "T"), pi_t=(pi_t, "TA")
+    )
     c_t = retrace_weights(a_t, pi_t, mu_t, lambda_, eps)
     target_tm1 = rescaling.transformed_off_policy_returns(tx_pair, q_t, a_t, r_t, discount_t, c_t, pi_t, cut_t=cut_t)
-    return _errors(q_tm1, a_tm1, target_tm1)
+    return jax.vmap(td_error)(q_tm1, a_tm1, target_tm1)
 
 
 def retrace_weights(a_t: ArrayLike, pi_t: ArrayLike, mu_t: ArrayLike, lambda_: ArrayLike, eps: float = 1e-8) -> Array:
@@ -143,10 +162,7 @@ def retrace_weights(a_t: ArrayLike, pi_t: ArrayLike, mu_t: ArrayLike, lambda_: A
     >>> retrace_weights(jnp.array([0]), jnp.array([[0.25, 0.75]]), jnp.array([0.5]), 1.0, eps=0.0).tolist()
     [0.5]
     """
-    pi_t, a_t, mu_t = arrays(pi_t=(pi_t, "TA"), a_t=(a_t, "T"), mu_t=(mu_t, "T"))
-    return jnp.asarray(lambda_) * jnp.minimum(1, jax.vmap(values.action_value)(pi_t, a_t) / (mu_t + eps))
-
-
-def _errors(q_tm1: ArrayLike, a_tm1: ArrayLike, target_tm1: ArrayLike) -> Array:
-    q_tm1, a_tm1, target_tm1 = arrays(q_tm1=(q_tm1, "TA"), a_tm1=(a_tm1, "T"), target_tm1=(target_tm1, "T"))
-    return jax.vmap(td_error)(q_tm1, a_tm1, target_tm1)
+    pi_t, a_t, mu_t, lambda_ = arrays(
+        pi_t=(pi_t, "TA"), a_t=(a_t, "T"), mu_t=(mu_t, "T"), lambda_=(lambda_, "T" if jnp.ndim(lambda_) else "")
+    )
+    return lambda_ * jnp.minimum(1, jax.vmap(values.action_value)(pi_t, a_t) / (mu_t + eps))

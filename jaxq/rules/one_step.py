@@ -147,6 +147,9 @@ def munchausen_q_learning(
     0.1
     """
     q_tm1, q_tm1_target = arrays(q_tm1=(q_tm1, "A"), q_tm1_target=(q_tm1_target, "A"))
+    r_t, munchausen_scale, clip_min = arrays(
+        r_t=(r_t, ""), munchausen_scale=(munchausen_scale, ""), clip_min=(clip_min, "")
+    )
     scaled_log_pi = values.action_value(q_tm1_target, a_tm1) - values.soft_value(q_tm1_target, temperature)
     bonus = munchausen_scale * jnp.clip(scaled_log_pi, clip_min, 0)
     return soft_q_learning(q_tm1, a_tm1, r_t + bonus, discount_t, q_t, temperature)
@@ -173,6 +176,7 @@ def advantage_learning(
     1.0
     """
     q_tm1, q_t, q_tm1_target = arrays(q_tm1=(q_tm1, "A"), q_t=(q_t, "A"), q_tm1_target=(q_tm1_target, "A"))
+    (action_gap_scale,) = arrays(action_gap_scale=(action_gap_scale, ""))
     gap = values.greedy_value(q_tm1_target) - values.action_value(q_tm1_target, a_tm1)
     target_tm1 = td_target(r_t, discount_t, values.greedy_value(q_t)) - action_gap_scale * gap
     return td_error(q_tm1, a_tm1, target_tm1)
@@ -195,7 +199,9 @@ def persistent_q_learning(
     >>> float(persistent_q_learning(jnp.zeros(2), jnp.array(0), 1.0, 0.5, jnp.array([2.0, 6.0]), 0.5))
     3.0
     """
-    q_tm1, q_t = arrays(q_tm1=(q_tm1, "A"), q_t=(q_t, "A"))
+    q_tm1, q_t, action_gap_scale = arrays(
+        q_tm1=(q_tm1, "A"), q_t=(q_t, "A"), action_gap_scale=(action_gap_scale, "")
+    )
     v_t = (1 - action_gap_scale) * values.greedy_value(q_t) + action_gap_scale * values.action_value(q_t, a_tm1)
     return td_error(q_tm1, a_tm1, td_target(r_t, discount_t, v_t))
 
@@ -212,8 +218,9 @@ def persistent_advantage_learning(
     """TD error of persistent advantage learning: the greater of the targets of the two rules above.
 
     delta = max(delta of ``advantage_learning``, delta of ``persistent_q_learning``); both subtract q_tm1[a_tm1].
-    Shapes: q_tm1, q_t, q_tm1_target [A], the rest [] -> []. Raises ValueError and TypeError as ``td_error``. Bellemare
-    et al., *Increasing the Action Gap*, 2016.
+    The paper's operator has alpha 1 in the latter, r_t + discount_t q_t[a_tm1]. Shapes: q_tm1, q_t, q_tm1_target [A],
+    the rest [] -> []. Raises ValueError and TypeError as ``td_error``. Bellemare et al., *Increasing the Action Gap*,
+    2016.
 
     >>> q = jnp.array([1.0, 3.0])
     >>> float(persistent_advantage_learning(q, jnp.array(0), 1.0, 0.5, q, q, 0.25))  # max(1, 0 + 1.25)

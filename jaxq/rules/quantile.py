@@ -49,16 +49,15 @@ def quantile_regression_loss(
     """Quantile regression of N predictions on samples of a target.
 
     L = sum_i mean_j |tau_i - 1(u_ij < 0)| H(u_ij), u_ij = dist_target[j] - dist_src[i]; H(u) = |u| with ``huber_param``
-    0, else the Huber loss: u^2 / 2 up to huber_param, then its tangent. Shapes: dist_src, tau_src [N], dist_target [any
-    number], huber_param [] -> []. Raises ValueError for other shapes. Dabney et al., 2018 (QR-DQN), equations 9 and 10.
+    0, else the Huber loss: u^2 / 2 up to huber_param, then its tangent. Shapes: dist_src, tau_src [N], dist_target [M],
+    huber_param [] -> []. Raises ValueError for other shapes. Dabney et al., 2018 (QR-DQN), equations 9 and 10.
 
     >>> float(quantile_regression_loss(jnp.array([1.0]), jnp.array([0.25]), jnp.array([2.0, 0.0])))  # (0.25 + 0.75) / 2
     0.5
     """
-    dist_src, tau_src, huber_param = arrays(
-        dist_src=(dist_src, "N"), tau_src=(tau_src, "N"), huber_param=(huber_param, "")
+    dist_src, tau_src, dist_target, huber_param = arrays(
+        dist_src=(dist_src, "N"), tau_src=(tau_src, "N"), dist_target=(dist_target, "M"), huber_param=(huber_param, "")
     )
-    (dist_target,) = arrays(dist_target=(dist_target, "N"))
     error = dist_target[None, :] - dist_src[:, None]
     size = jnp.abs(error)
     near = jnp.minimum(size, huber_param)
@@ -71,31 +70,40 @@ def quantile_target(r_t: ArrayLike, discount_t: ArrayLike, dist_q_t_selector: Ar
     """Quantiles that one transition moves towards: the successor's, of the selected action, shrunk and shifted.
 
     G[j] = r_t + discount_t dist_q_t[j, a*], a* = argmax_a of the means of dist_q_t_selector. Shapes: dist_q_t [N, A],
-    dist_q_t_selector [any number, A], the rest [] -> [N]. Raises ValueError for other shapes. Dabney et al., 2018.
+    dist_q_t_selector [M, A], the rest [] -> [N]. Raises ValueError for other shapes. Dabney et al., 2018.
 
     >>> quantile_target(1.0, 0.5, jnp.array([[0.0, 1.0]]), jnp.array([[9.0, 2.0], [9.0, 4.0]])).tolist()
     [2.0, 3.0]
     """
-    r_t, discount_t, dist_q_t = arrays(r_t=(r_t, ""), discount_t=(discount_t, ""), dist_q_t=(dist_q_t, "NA"))
-    selector = quantile_values(dist_q_t_selector)
-    arrays(dist_q_t=(dist_q_t, "NA"), dist_q_t_selector=(selector, "A"))
-    return r_t + discount_t * _column(dist_q_t, jnp.argmax(selector))
+    r_t, discount_t, dist_q_t, dist_q_t_selector = arrays(
+        r_t=(r_t, ""),
+        discount_t=(discount_t, ""),
+        dist_q_t=(dist_q_t, "NA"),
+        dist_q_t_selector=(dist_q_t_selector, "MA"),
+    )
+    return r_t + discount_t * _column(dist_q_t, jnp.argmax(quantile_values(dist_q_t_selector)))
 
 
 def quantile_error(
     dist_q_tm1: ArrayLike, tau_q_tm1: ArrayLike, a_tm1: ArrayLike, target_tm1: ArrayLike, huber_param: ArrayLike = 0.0
 ) -> Array:
-    """Quantile regression of the action taken on a target, with no gradient through the target.
+    """Quantile regression of the action taken on a target, with a gradient through ``dist_q_tm1`` alone.
 
-    L = ``quantile_regression_loss`` of dist_q_tm1[:, a_tm1]. Shapes: dist_q_tm1 [N, A], tau_q_tm1 [N], target_tm1 [any
-    number], the rest [] -> []. Raises ValueError for other shapes, TypeError for an action that is no integer. Dabney
-    et al., 2018.
+    L = ``quantile_regression_loss`` of dist_q_tm1[:, a_tm1]. Shapes: dist_q_tm1 [N, A], tau_q_tm1 [N], target_tm1 [M],
+    the rest [] -> []. Raises ValueError for other shapes, TypeError for an action that is no integer. Dabney et al.,
+    2018.
 
     >>> float(quantile_error(jnp.array([[1.0, 7.0]]), jnp.array([0.25]), jnp.array(0), jnp.array([2.0, 0.0])))
     0.5
     """
-    dist_q_tm1, tau_q_tm1, a_tm1 = arrays(dist_q_tm1=(dist_q_tm1, "NA"), tau_q_tm1=(tau_q_tm1, "N"), a_tm1=(a_tm1, ""))
-    target_tm1 = jax.lax.stop_gradient(target_tm1)
+    dist_q_tm1, *constants = arrays(
+        dist_q_tm1=(dist_q_tm1, "NA"),
+        tau_q_tm1=(tau_q_tm1, "N"),
+        a_tm1=(a_tm1, ""),
+        target_tm1=(target_tm1, "M"),
+        huber_param=(huber_param, ""),
+    )
+    tau_q_tm1, a_tm1, target_tm1, huber_param = jax.lax.stop_gradient(constants)
     return quantile_regression_loss(_column(dist_q_tm1, a_tm1), tau_q_tm1, target_tm1, huber_param)
 
 
@@ -112,13 +120,14 @@ def quantile_q_learning(
     """Loss of Q-learning for quantiles: QR-DQN, and double where the selector is the online network's.
 
     L = ``quantile_error`` of the ``quantile_target``. Shapes: dist_q_tm1 [N, A], tau_q_tm1 [N], dist_q_t_selector and
-    dist_q_t [any number, A], the rest [] -> []. Raises ValueError for other shapes, TypeError for an action that is no
-    integer. Dabney et al., 2018 (QR-DQN).
+    dist_q_t of the same or other numbers of quantiles, the rest [] -> []. Raises ValueError for other shapes, TypeError
+    for an action that is no integer. Dabney et al., 2018 (QR-DQN).
 
     >>> dist = jnp.array([[0.0, 2.0], [0.0, 4.0]])
     >>> float(quantile_q_learning(dist, quantile_midpoints(2), jnp.array(1), 1.0, 0.5, dist, dist))  # 0.125 + 0.375
     0.5
     """
+    dist_q_tm1, dist_q_t = arrays(dist_q_tm1=(dist_q_tm1, "NA"), dist_q_t=(dist_q_t, "MA"))
     target_tm1 = quantile_target(r_t, discount_t, dist_q_t_selector, dist_q_t)
     return quantile_error(dist_q_tm1, tau_q_tm1, a_tm1, target_tm1, huber_param)
 
@@ -145,7 +154,7 @@ def implicit_quantile(
     True
     """
     loss = quantile_q_learning(dist_q_tm1, tau_q_tm1, a_tm1, r_t, discount_t, dist_q_t_selector, dist_q_t, huber_param)
-    return loss / huber_param
+    return loss / jax.lax.stop_gradient(huber_param)
 
 
 def _column(rows: ArrayLike, action: ArrayLike) -> Array:

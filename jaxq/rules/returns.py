@@ -32,7 +32,9 @@ def lambda_returns(
     [2.0, 3.0]
     """
     r_t, discount_t, v_t = arrays(r_t=(r_t, "T"), discount_t=(discount_t, "T"), v_t=(v_t, "T"))
-    return _returns(r_t, discount_t, v_t, v_t, _weights(lambda_, "lambda_", discount_t, cut_t))
+    over = _over(discount_t, cut_t)
+    lambda_ = _weights(lambda_, "lambda_", discount_t, over)
+    return _returns(r_t, discount_t, (1 - lambda_) * v_t, lambda_, over)
 
 
 def n_step_bootstrapped_returns(
@@ -57,10 +59,11 @@ def n_step_bootstrapped_returns(
     r_t, discount_t, v_t = arrays(r_t=(r_t, "T"), discount_t=(discount_t, "T"), v_t=(v_t, "T"))
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
         raise ValueError(f"n: {n!r} is not allowed: a whole number from 1")
-    lambda_t = _weights(lambda_t, "lambda_t", discount_t, cut_t)
+    over = _over(discount_t, cut_t)
+    lambda_t = _weights(lambda_t, "lambda_t", discount_t, over)
 
     def longer(_: Array, shorter: Array) -> Array:
-        following = jnp.concatenate([shorter[1:], shorter[-1:]])  # the last one has weight 0
+        following = jnp.where(over, 0, jnp.concatenate([shorter[1:], shorter[-1:]]))
         return r_t + discount_t * ((1 - lambda_t) * v_t + lambda_t * following)
 
     one_step = (r_t + discount_t * v_t).astype(jnp.result_type(r_t, discount_t, v_t, lambda_t))
@@ -82,8 +85,8 @@ def off_policy_returns(
     G_t = r_t + discount_t (sum_a pi_t[a] q_t[a] - c_t q_t[a_t] + c_t G_{t+1}), with c_t = 0 in the last step and at a
     cut. With mu the policy that acted, c_t = lambda min(1, pi / mu) is Retrace, pi / mu importance sampling, pi tree
     backup, and lambda the Q(lambda) of Harutyunyan et al. Shapes: q_t, pi_t [T, A], a_t, r_t, discount_t [T], c_t [] or
-    [T], cut_t [T] bool -> [T]. Raises ValueError for other shapes. Munos et al., *Safe and Efficient Off-Policy
-    Reinforcement Learning*, 2016.
+    [T], cut_t [T] bool -> [T]. Raises ValueError for other shapes, TypeError for actions that are no integers. Munos et
+    al., *Safe and Efficient Off-Policy Reinforcement Learning*, 2016.
 
     >>> q_t, a_t, pi_t = jnp.array([[2.0, 4.0], [6.0, 0.0]]), jnp.array([0, 0]), jnp.full((2, 2), 0.5)
     >>> off_policy_returns(q_t, a_t, jnp.ones(2), jnp.full(2, 0.5), 1.0, pi_t).tolist()  # 1 + 0.5 (3 - 2 + 2.5)
@@ -93,43 +96,53 @@ def off_policy_returns(
         q_t=(q_t, "TA"), a_t=(a_t, "T"), r_t=(r_t, "T"), discount_t=(discount_t, "T"), pi_t=(pi_t, "TA")
     )
     expected, taken = jax.vmap(values.expected_value)(q_t, pi_t), jax.vmap(values.action_value)(q_t, a_t)
-    return _returns(r_t, discount_t, expected, taken, _weights(c_t, "c_t", discount_t, cut_t))
+    over = _over(discount_t, cut_t)
+    c_t = _weights(c_t, "c_t", discount_t, over)
+    return _returns(r_t, discount_t, expected - c_t * jnp.where(over, 0, taken), c_t, over)
 
 
 def watkins_lambda(q_t: ArrayLike, a_t: ArrayLike, lambda_: ArrayLike) -> Array:
     """Lambda of Watkins's Q(lambda): 0 where the action taken next is not greedy, so that the return ends before it.
 
     lambda_t = lambda 1(q_t[a_t] = max_a q_t[a]). Shapes: q_t [T, A], a_t [T], lambda_ [] or [T] -> [T]. Raises
-    ValueError for other shapes. Watkins, 1989; Sutton and Barto, 2018, section 12.10.
+    ValueError for other shapes, TypeError for actions that are no integers. Watkins, 1989; Sutton and Barto, 2018,
+    section 12.10.
 
     >>> watkins_lambda(jnp.array([[1.0, 2.0], [1.0, 2.0]]), jnp.array([0, 1]), 0.5).tolist()
     [0.0, 0.5]
     """
-    q_t, a_t = arrays(q_t=(q_t, "TA"), a_t=(a_t, "T"))
+    q_t, a_t, lambda_ = arrays(q_t=(q_t, "TA"), a_t=(a_t, "T"), lambda_=(lambda_, "T" if jnp.ndim(lambda_) else ""))
     greedy = jax.vmap(values.action_value)(q_t, a_t) == jnp.max(q_t, axis=-1)
     return jnp.where(greedy, lambda_, jnp.zeros((), jnp.result_type(q_t, lambda_)))
 
 
-def _weights(weight: ArrayLike, name: str, discount_t: Array, cut_t: ArrayLike | None) -> Array:
-    """The weight of what follows each step, [T], 0 at a cut and in the last step, where nothing is known to follow."""
+def _over(discount_t: Array, cut_t: ArrayLike | None) -> Array:
+    """Steps after which nothing is known to follow, [T] bool: the cuts and the last one."""
     steps = discount_t.shape[0]
-    _, weight = arrays(discount_t=(discount_t, "T"), **{name: (weight, "T" if jnp.ndim(weight) else "")})
     over = jnp.arange(steps) == steps - 1
     if cut_t is not None:
         _, cut_t = arrays(discount_t=(discount_t, "T"), cut_t=(cut_t, "T"))
         over = over | cut_t.astype(bool)
+    return over
+
+
+def _weights(weight: ArrayLike, name: str, discount_t: Array, over: Array) -> Array:
+    """The weight of what follows each step, [T], 0 where nothing does."""
+    _, weight = arrays(discount_t=(discount_t, "T"), **{name: (weight, "T" if jnp.ndim(weight) else "")})
     return jnp.where(over, jnp.zeros((), jnp.result_type(discount_t, weight)), weight)
 
 
-def _returns(r_t: Array, discount_t: Array, v_t: Array, q_t: Array, weight_t: Array) -> Array:
-    """G_t = r_t + discount_t (v_t - weight_t q_t + weight_t G_{t+1}), from the last step to the first."""
-    rest = jnp.where(weight_t == 0, v_t, v_t - weight_t * q_t)  # an infinite q_t without weight does not count
-    dtype = jnp.result_type(r_t, discount_t, v_t, q_t, weight_t)
-    return jax.lax.scan(_back, jnp.zeros((), dtype), (r_t, discount_t, rest, weight_t), reverse=True)[1]
+def _returns(r_t: Array, discount_t: Array, rest_t: Array, weight_t: Array, over: Array) -> Array:
+    """G_t = r_t + discount_t (rest_t + weight_t G_{t+1}), from the last step to the first."""
+    dtype = jnp.result_type(r_t, discount_t, rest_t, weight_t)
+    return jax.lax.scan(_back, jnp.zeros((), dtype), (r_t, discount_t, rest_t, weight_t, over), reverse=True)[1]
 
 
 def _back(following: Array, step: tuple[Array, ...]) -> tuple[Array, Array]:
-    """One step back in time; a function of the module, so that a scan outside jit is compiled once."""
-    r_t, discount_t, rest, weight_t = step
-    value = r_t + discount_t * (rest + weight_t * following)
+    """One step back in time; a function of the module, so that a scan outside jit is compiled once.
+
+    What follows in another episode is replaced, not only weighted with 0: it may be infinite.
+    """
+    r_t, discount_t, rest_t, weight_t, over = step
+    value = r_t + discount_t * (rest_t + weight_t * jnp.where(over, 0, following))
     return value, value

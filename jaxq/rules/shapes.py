@@ -5,6 +5,7 @@ A     actions
 T     time, steps of one trajectory
 K     atoms of a categorical distribution, or members of an ensemble
 N     quantiles
+M     another number of atoms or quantiles
 S     states of a table
 ====  ==========================================
 """
@@ -15,11 +16,14 @@ import jax.numpy as jnp
 
 from jaxq.types import Array, ArrayLike
 
+#: Arguments that count something, so that another dtype is an error.
+INDICES = ("a_tm1", "a_t", "state", "action")
+
 
 def arrays(**arguments: tuple[ArrayLike, str]) -> tuple[Array, ...]:
     """The arguments as JAX's arrays, where each has the axes that its letters name: "" for a scalar, "TA" for [T, A].
 
-    A letter is one length in all arguments; ``a_tm1`` and ``a_t`` must be integers. Raises ValueError for a shape and
+    A letter is one length in all arguments; actions and states must be integers. Raises ValueError for a shape and
     TypeError for a dtype, in one line that names the argument.
 
     >>> arrays(q_tm1=(jnp.zeros(3), "A"), q_t=(jnp.zeros(2), "A"))
@@ -40,7 +44,7 @@ def arrays(**arguments: tuple[ArrayLike, str]) -> tuple[Array, ...]:
                 raise ValueError(
                     f"{name}: shape {value.shape} is not allowed: {allowed}, {letter} = {known} as in {first}"
                 )
-        if name in ("a_tm1", "a_t") and not jnp.issubdtype(value.dtype, jnp.integer):
+        if name in INDICES and not jnp.issubdtype(value.dtype, jnp.integer):
             raise TypeError(f"{name}: dtype {value.dtype} is not allowed: an integer")
         found.append(value)
     return tuple(found)

@@ -1,4 +1,8 @@
-"""Updates of a table of action values, and eligibility traces of the same shape."""
+"""Updates of a table of action values, and eligibility traces of the same shape.
+
+A cell outside the table is not visited: nothing is added, and traces fade alone. States and actions are integers, or it
+is a TypeError.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,7 @@ def update_table(table: ArrayLike, state: ArrayLike, action: ArrayLike, amount: 
         table=(table, "SA"), state=(state, ""), action=(action, ""), amount=(amount, "")
     )
     if table.size > DENSE_CELLS:
-        return table.at[state, action].add(amount)
+        return table.at[state, action].add(amount, mode="drop", wrap_negative_indices=False)
     # Masked sums of one term: XLA fuses no reduction into a loop that reads it again and again. As plain arithmetic
     # cell and amount, with all that leads to them, would be computed within the loop over the table, lane by lane.
     actions = jnp.arange(table.shape[1])
@@ -85,5 +89,6 @@ def _visit(trace: ArrayLike, state: ArrayLike, action: ArrayLike, decay_t: Array
     faded = trace * decay_t
     rows, columns = faded.shape
     cells = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    here = cells == jnp.asarray(state, jnp.int32) * columns + action
-    return jnp.where(here, kept * faded + 1, faded)
+    inside = (action >= 0) & (action < columns)  # an action outside is not one of the next state
+    cell = jnp.where(inside, jnp.asarray(state, jnp.int32) * columns + action, -1)
+    return jnp.where(cells == cell, kept * faded + 1, faded)

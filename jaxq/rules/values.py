@@ -77,7 +77,10 @@ def soft_value(q_t: ArrayLike, temperature: ArrayLike) -> Array:
     2.3863
     """
     q_t, temperature = arrays(q_t=(q_t, "A"), temperature=(temperature, ""))
-    return temperature * jax.nn.logsumexp(q_t / temperature)
+    # Differences from the greatest: they overflow at no temperature, and lose no digits where values are far from 0.
+    top = jax.lax.stop_gradient(jnp.max(q_t))
+    top = jnp.where(jnp.isfinite(top), top, 0)
+    return top + temperature * jax.nn.logsumexp((q_t - top) / temperature)
 
 
 def averaged(q_t: ArrayLike) -> Array:
