@@ -199,9 +199,7 @@ def persistent_q_learning(
     >>> float(persistent_q_learning(jnp.zeros(2), jnp.array(0), 1.0, 0.5, jnp.array([2.0, 6.0]), 0.5))
     3.0
     """
-    q_tm1, q_t, action_gap_scale = arrays(
-        q_tm1=(q_tm1, "A"), q_t=(q_t, "A"), action_gap_scale=(action_gap_scale, "")
-    )
+    q_tm1, q_t, action_gap_scale = arrays(q_tm1=(q_tm1, "A"), q_t=(q_t, "A"), action_gap_scale=(action_gap_scale, ""))
     v_t = (1 - action_gap_scale) * values.greedy_value(q_t) + action_gap_scale * values.action_value(q_t, a_tm1)
     return td_error(q_tm1, a_tm1, td_target(r_t, discount_t, v_t))
 
