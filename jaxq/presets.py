@@ -170,15 +170,8 @@ class Preset:
 
 
 _TUTORIAL_Q: dict[str, Any] = {"max_episodes": 5000, "stop": "streak"}
-#: Discretised, CartPole is not the deterministic world that one outcome is a model of, and a constant step size gives
-#: the few outcomes that a model keeps too much weight.
-_DYNA: dict[str, Any] = {
-    "model_outcomes": 100,
-    "step_size": "visits",
-    "visit_power": 0.6,
-    "alpha_max": 1.0,
-    "alpha_min": 0.0,
-}
+#: Discretised, CartPole has many outcomes of one action: planning with the last of them needs step sizes that fall.
+_DYNA: dict[str, Any] = {"step_size": "visits", "visit_power": 0.6, "alpha_max": 1.0, "alpha_min": 0.0}
 _MONTE_CARLO: dict[str, Any] = {
     "traces": "accumulating",
     "trace_decay": 1.0,
