@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 READY := $(VENV)/.ready-$(VERSION)
 
-.PHONY: demo test lint lock notebook bench bench-peers peers clean
+.PHONY: demo test lint lock notebook bench bench-peers peers parity clean
 
 demo: $(READY)
 	$(BIN)/jaxq sweep article-q --gamma 0.9 0.95 0.99 --seeds 100 --out runs/demo-q-sweep --overwrite
@@ -52,6 +52,11 @@ bench-peers: $(READY)
 # What the benchmarks are compared with; says what cannot be installed, and leaves what is there already.
 peers:
 	$(PYTHON) benchmarks/peers/install.py
+
+# Our rules beside rlax's, in an environment of its own: rlax asks for a nightly build, so it never is a dependency.
+parity:
+	$(PYTHON) benchmarks/peers/install.py .venv-peers-rlax
+	PYTHONPATH=tests .venv-peers-rlax/bin/python -m reference.rlax_parity
 
 clean:
 	rm -rf $(VENV) .venv-peers* .pytest_cache .mypy_cache .ruff_cache .hypothesis
