@@ -112,8 +112,8 @@ def maxmin(q_t: ArrayLike) -> Array:
 def random_subset(key: Key, q_t: ArrayLike, size: int) -> Array:
     """So many members of an ensemble, every set of them equally likely; the key is consumed.
 
-    Shapes: q_t [K, A] -> [size, A]. Raises ValueError for other shapes, and for a size that is not in 1 .. K. Chen et
-    al., *Randomized Ensembled Double Q-Learning*, 2021.
+    P(M) = 1 / binomial(K, size) for every set M. Shapes: q_t [K, A] -> [size, A]. Raises ValueError for other shapes,
+    and for a size that is not in 1 .. K. Chen et al., *Randomized Ensembled Double Q-Learning*, 2021.
 
     >>> random_subset(jax.random.key(0), jnp.array([[1.0], [2.0]]), 2).sum().tolist()
     3.0
