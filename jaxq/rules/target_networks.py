@@ -27,8 +27,9 @@ def polyak_update(online: PyTree, target: PyTree, tau: ArrayLike) -> PyTree:
 def periodic_step(updates: ArrayLike, period: ArrayLike, tau: ArrayLike = 1.0) -> Array:
     """The step of a target that moves every so many updates: tau then, otherwise 0.
 
-    step = tau 1(updates mod period = 0). Shapes: all [] -> []. ``updates`` are those done before, so the first one moves the target. A number, not a branch:
-    under ``vmap`` a branch would run both ways. Raises ValueError for other shapes. Mnih et al., 2015.
+    step = tau 1(updates mod period = 0). Shapes: all [] -> []. ``updates`` are those done before, so the first one moves
+    the target. A number, not a branch: under ``vmap`` a branch would run both ways. Raises ValueError for other shapes.
+    Mnih et al., 2015.
 
     >>> [float(periodic_step(updates, 3)) for updates in range(5)]
     [1.0, 0.0, 0.0, 1.0, 0.0]
@@ -40,8 +41,8 @@ def periodic_step(updates: ArrayLike, period: ArrayLike, tau: ArrayLike = 1.0) -
 def periodic_update(online: PyTree, target: PyTree, updates: ArrayLike, period: ArrayLike) -> PyTree:
     """The online parameters every ``period`` updates, else the target as it is.
 
-    target <- online where updates mod period = 0. Shapes: trees alike, updates and period []. Raises ValueError where the trees differ. Mnih et al., *Human-level
-    control through deep reinforcement learning*, 2015.
+    target <- online where updates mod period = 0. Shapes: trees alike, updates and period []. Raises ValueError where
+    the trees differ. Mnih et al., *Human-level control through deep reinforcement learning*, 2015.
 
     >>> [float(periodic_update(jnp.array(4.0), jnp.array(0.0), updates, 2)) for updates in range(3)]
     [4.0, 0.0, 4.0]
