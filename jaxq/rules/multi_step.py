@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxq.rules import rescaling, values
 from jaxq.rules.one_step import td_error
 from jaxq.rules.rescaling import IDENTITY_PAIR, TxPair
-from jaxq.rules.shapes import arrays
+from jaxq.rules.shapes import arrays, per_step
 from jaxq.types import Array, ArrayLike
 
 
@@ -163,6 +163,6 @@ def retrace_weights(a_t: ArrayLike, pi_t: ArrayLike, mu_t: ArrayLike, lambda_: A
     [0.5]
     """
     pi_t, a_t, mu_t, lambda_ = arrays(
-        pi_t=(pi_t, "TA"), a_t=(a_t, "T"), mu_t=(mu_t, "T"), lambda_=(lambda_, "T" if jnp.ndim(lambda_) else "")
+        pi_t=(pi_t, "TA"), a_t=(a_t, "T"), mu_t=(mu_t, "T"), lambda_=(lambda_, per_step(lambda_))
     )
     return lambda_ * jnp.minimum(1, jax.vmap(values.action_value)(pi_t, a_t) / (mu_t + eps))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxq.rules import values
-from jaxq.rules.shapes import arrays
+from jaxq.rules.shapes import arrays, per_step
 from jaxq.types import Array, ArrayLike
 
 
@@ -111,7 +111,7 @@ def watkins_lambda(q_t: ArrayLike, a_t: ArrayLike, lambda_: ArrayLike) -> Array:
     >>> watkins_lambda(jnp.array([[1.0, 2.0], [1.0, 2.0]]), jnp.array([0, 1]), 0.5).tolist()
     [0.0, 0.5]
     """
-    q_t, a_t, lambda_ = arrays(q_t=(q_t, "TA"), a_t=(a_t, "T"), lambda_=(lambda_, "T" if jnp.ndim(lambda_) else ""))
+    q_t, a_t, lambda_ = arrays(q_t=(q_t, "TA"), a_t=(a_t, "T"), lambda_=(lambda_, per_step(lambda_)))
     greedy = jax.vmap(values.action_value)(q_t, a_t) == jnp.max(q_t, axis=-1)
     return jnp.where(greedy, lambda_, jnp.zeros((), jnp.result_type(q_t, lambda_)))
 
@@ -128,7 +128,7 @@ def _over(discount_t: Array, cut_t: ArrayLike | None) -> Array:
 
 def _weights(weight: ArrayLike, name: str, discount_t: Array, over: Array) -> Array:
     """The weight of what follows each step, [T], 0 where nothing does."""
-    _, weight = arrays(discount_t=(discount_t, "T"), **{name: (weight, "T" if jnp.ndim(weight) else "")})
+    _, weight = arrays(discount_t=(discount_t, "T"), **{name: (weight, per_step(weight))})
     return jnp.where(over, jnp.zeros((), jnp.result_type(discount_t, weight)), weight)
 
 

@@ -48,3 +48,8 @@ def arrays(**arguments: tuple[ArrayLike, str]) -> tuple[Array, ...]:
             raise TypeError(f"{name}: dtype {value.dtype} is not allowed: an integer")
         found.append(value)
     return tuple(found)
+
+
+def per_step(value: ArrayLike) -> str:
+    """The letters of an argument that is one number, or one for each step: "" or "T"."""
+    return "T" if jnp.asarray(value).ndim else ""

@@ -35,7 +35,7 @@ def update_table(table: ArrayLike, state: ArrayLike, action: ArrayLike, amount: 
     # cell and amount, with all that leads to them, would be computed within the loop over the table, lane by lane.
     actions = jnp.arange(table.shape[1])
     cell = jnp.sum(jnp.where(actions == action, jnp.asarray(state, jnp.int32) * table.shape[1] + actions, 0))
-    amount = jnp.sum(jnp.where(actions == action, amount, 0))
+    amount = jnp.sum(jnp.where(actions == action, amount.astype(jnp.result_type(table, amount)), 0))
     flat = table.reshape(-1)
     # An array of numbers, not arange: XLA counts an iota in 64 bits, half as many at a time.
     return (flat + jnp.where(np.arange(flat.size, dtype=np.int32) == cell, amount, 0)).reshape(table.shape)
