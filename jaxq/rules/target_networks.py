@@ -27,7 +27,7 @@ def polyak_update(online: PyTree, target: PyTree, tau: ArrayLike) -> PyTree:
 def periodic_step(updates: ArrayLike, period: ArrayLike, tau: ArrayLike = 1.0) -> Array:
     """The step of a target that moves every so many updates: tau then, otherwise 0.
 
-    step = tau 1(updates mod period = 0). Shapes: all [] -> []. ``updates`` are those done before, so the first one moves
+    step = tau 1(updates mod period = 0). Shapes: all [] -> []. ``updates`` are those done before, so the first moves
     the target. A number, not a branch: under ``vmap`` a branch would run both ways. Raises ValueError for other shapes.
     Mnih et al., 2015.
 
