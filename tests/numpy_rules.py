@@ -1,8 +1,8 @@
 """The rules once more, from the papers' equations: plain loops over Python numbers and NumPy's float64.
 
-Nothing here, or in ``numpy_rules_multi``, is shared with ``jaxq.rules``: returns are sums over all lengths of a bootstrap
-(the forward view), where the library works backwards; a soft value is an expectation with its entropy, where the library
-takes a logarithm of a sum; a projection is the algorithm that the paper prints, where the library sums tents.
+Nothing here, or in ``numpy_rules_multi``, is shared with ``jaxq.rules``: returns are sums over all lengths of a
+bootstrap (the forward view), where the library works backwards; a soft value is an expectation with its entropy, where
+the library takes a logarithm of a sum; a projection is what the paper prints, where the library sums tents.
 """
 
 from __future__ import annotations

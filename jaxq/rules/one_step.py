@@ -147,8 +147,8 @@ def munchausen_q_learning(
     0.1
     """
     q_tm1, q_tm1_target = arrays(q_tm1=(q_tm1, "A"), q_tm1_target=(q_tm1_target, "A"))
-    r_t, munchausen_scale, clip_min = arrays(
-        r_t=(r_t, ""), munchausen_scale=(munchausen_scale, ""), clip_min=(clip_min, "")
+    a_tm1, r_t, munchausen_scale, clip_min = arrays(
+        a_tm1=(a_tm1, ""), r_t=(r_t, ""), munchausen_scale=(munchausen_scale, ""), clip_min=(clip_min, "")
     )
     scaled_log_pi = values.action_value(q_tm1_target, a_tm1) - values.soft_value(q_tm1_target, temperature)
     bonus = munchausen_scale * jnp.clip(scaled_log_pi, clip_min, 0)
@@ -176,7 +176,7 @@ def advantage_learning(
     1.0
     """
     q_tm1, q_t, q_tm1_target = arrays(q_tm1=(q_tm1, "A"), q_t=(q_t, "A"), q_tm1_target=(q_tm1_target, "A"))
-    (action_gap_scale,) = arrays(action_gap_scale=(action_gap_scale, ""))
+    a_tm1, action_gap_scale = arrays(a_tm1=(a_tm1, ""), action_gap_scale=(action_gap_scale, ""))
     gap = values.greedy_value(q_tm1_target) - values.action_value(q_tm1_target, a_tm1)
     target_tm1 = td_target(r_t, discount_t, values.greedy_value(q_t)) - action_gap_scale * gap
     return td_error(q_tm1, a_tm1, target_tm1)
@@ -199,7 +199,8 @@ def persistent_q_learning(
     >>> float(persistent_q_learning(jnp.zeros(2), jnp.array(0), 1.0, 0.5, jnp.array([2.0, 6.0]), 0.5))
     3.0
     """
-    q_tm1, q_t, action_gap_scale = arrays(q_tm1=(q_tm1, "A"), q_t=(q_t, "A"), action_gap_scale=(action_gap_scale, ""))
+    q_tm1, q_t = arrays(q_tm1=(q_tm1, "A"), q_t=(q_t, "A"))
+    a_tm1, action_gap_scale = arrays(a_tm1=(a_tm1, ""), action_gap_scale=(action_gap_scale, ""))
     v_t = (1 - action_gap_scale) * values.greedy_value(q_t) + action_gap_scale * values.action_value(q_t, a_tm1)
     return td_error(q_tm1, a_tm1, td_target(r_t, discount_t, v_t))
 
