@@ -27,6 +27,13 @@ def test_every_rule_of_the_comparison_is_kept():
     assert names == {f"{title}/{shape}/{part}" for title in RULES for shape in shapes for part in ("inputs", "truth")}
 
 
+def test_the_page_tells_every_rule_and_every_difference():
+    page = (parity.KEPT.parents[2] / "docs" / "parity.md").read_text()
+    rows = [tuple(cell.strip() for cell in line.strip("|").split(" | ")) for line in page.splitlines()]
+    assert {row[0] for row in rows if row[-1] == "same"} == set(RULES)
+    assert set(parity.DIFFERENCES) <= set(rows)
+
+
 @pytest.fixture
 def q_learning_alone(monkeypatch):
     for title in set(RULES) - {"q_learning"}:

@@ -51,6 +51,7 @@ RULES = {
     "sarsa_lambda": Rule("rlax.sarsa_lambda", STEPS + "q_t:TA a_t:T lambda_"),
     "retrace": Rule("rlax.retrace", RETRACE, EPS),
     "retrace, tx_pair": Rule("rlax.transformed_retrace", RETRACE, PAIRED),
+    "n_step_q_learning": Rule("rlax.transformed_n_step_q_learning", N_STEP, LENGTHS),
     "n_step_q_learning, tx_pair": Rule(
         "rlax.transformed_n_step_q_learning", N_STEP, tuple(PAIRED[0] | length for length in LENGTHS)
     ),
