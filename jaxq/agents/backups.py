@@ -28,7 +28,8 @@ class Visit(NamedTuple):
     """One transition with what it bootstraps from, all []: the row of its state, its action, and the value v_t.
 
     ``greedy_tm1`` says that the action was greedy. ``weight`` is 1 for a transition that took place and 0 for none;
-    None where there always is one.
+    None where there always is one. Of two tables ``coin`` says which one is updated, and ``v_other_t`` is the value
+    that the other one would bootstrap from.
     """
 
     row: Array
@@ -39,6 +40,8 @@ class Visit(NamedTuple):
     cut_t: Array
     greedy_tm1: Array
     weight: Array | None
+    coin: Array | None = None
+    v_other_t: Array | None = None
 
 
 #: Step size by how often a cell was updated, this time included: scalar to scalar, table to table; None where that is
@@ -70,16 +73,20 @@ def one_step() -> Backup:
 
 
 class Window(NamedTuple):
-    """The last n visits, oldest first [n]: their cells, the rewards since with the discounts, and which are there."""
+    """The last n visits, oldest first [n]: their cells, the rewards since with the discounts, and which are there.
+
+    Of two tables ``coin`` is which one each visit updates: what it bootstraps from n steps later is of that one.
+    """
 
     row: Array
     action: Array
     rewards: Array
     discount: Array
     present: Array
+    coin: Array | None
 
 
-def n_step(n: int) -> Backup:
+def n_step(n: int, *, double: bool = False) -> Backup:
     """q[s, a] += alpha (G - q[s, a]), G = r_1 + d_1 r_2 + ... + d_1 ... d_n v, n steps after the visit.
 
     At a cut every visit of the window is updated, oldest first, with the return of the steps it had. Sutton and Barto,
@@ -88,7 +95,7 @@ def n_step(n: int) -> Backup:
 
     def init(values: Array) -> Window:
         none, zero = jnp.zeros(n, jnp.int32), jnp.zeros(n, values.dtype)
-        return Window(none, none, zero, zero, jnp.zeros(n, bool))
+        return Window(none, none, zero, zero, jnp.zeros(n, bool), none if double else None)
 
     def apply(table: Table, window: Window, visit: Visit, step_size: StepSize) -> tuple[Table, Window, Array]:
         dtype = table.values.dtype
@@ -98,13 +105,17 @@ def n_step(n: int) -> Backup:
             rewards=window.rewards.at[-1].set(0),
             discount=window.discount.at[-1].set(1),
             present=window.present.at[-1].set(True),
+            coin=None if window.coin is None else window.coin.at[-1].set(visit.coin),
         )
         rewards = (entered.rewards + entered.discount * visit.r_t).astype(dtype)
         discount = (entered.discount * visit.discount_t).astype(dtype)
         due = entered.present & (visit.cut_t | (jnp.arange(n) == 0))
         if visit.weight is not None:
             due = due & (visit.weight > 0)
-        targets = rewards + discount * visit.v_t.astype(dtype)
+        v_t = visit.v_t.astype(dtype)
+        if entered.coin is not None and visit.v_other_t is not None:
+            v_t = jnp.where(entered.coin == visit.coin, v_t, visit.v_other_t.astype(dtype))
+        targets = rewards + discount * v_t
 
         def update(table: Table, one: tuple[Array, ...]) -> tuple[Table, Array]:
             row, action, target, is_due = one
@@ -112,7 +123,7 @@ def n_step(n: int) -> Backup:
 
         table, deltas = jax.lax.scan(update, table, (entered.row, entered.action, targets, due))
         loss = jnp.sum(0.5 * jnp.square(deltas)) / jnp.maximum(jnp.sum(due.astype(dtype)), 1)
-        after = Window(entered.row, entered.action, rewards, discount, entered.present & ~due)
+        after = Window(entered.row, entered.action, rewards, discount, entered.present & ~due, entered.coin)
         after = jax.tree.map(lambda leaf: jnp.roll(leaf, -1), after)
         if visit.weight is not None:
             took_place = visit.weight > 0
@@ -151,13 +162,15 @@ def traced(kind: str, trace_decay: Array, gamma: Array, *, watkins: bool, offlin
         dtype = values.dtype
         weight = jnp.ones((), dtype) if visit.weight is None else visit.weight.astype(dtype)
         decay = gamma * trace_decay * (visit.greedy_tm1 if watkins else 1)
-        counts = (
-            None if table.counts is None else rules.update_table(table.counts, row, action, weight.astype(jnp.int32))
-        )
+        counts = None if table.counts is None else _counted(table.counts, row, action, weight)
         alpha = step_size(counts)
         alpha_tm1 = alpha if counts is None else step_size(counts[row, action])
         if dutch:
-            trace = rules.dutch_trace(memory.trace, row, action, decay, alpha_tm1)
+            taken = alpha_tm1
+            if table.counts is not None:  # the visits before keep the step size that they were made with
+                shrinks = step_size(table.counts[row, action]) / jnp.where(alpha_tm1 > 0, alpha_tm1, 1)
+                taken = 1 - (1 - alpha_tm1) * shrinks
+            trace = rules.dutch_trace(memory.trace, row, action, decay, taken)
         else:
             leave = rules.accumulating_trace if kind == "accumulating" else rules.replacing_trace
             trace = leave(memory.trace, row, action, decay)
@@ -194,7 +207,11 @@ def _move(
         delta = delta * weight
     if counts is None:
         return Table(rules.update_table(values, row, action, step_size(None).astype(values.dtype) * delta), None), delta
-    once = jnp.ones((), jnp.int32) if weight is None else weight.astype(jnp.int32)
-    counts = rules.update_table(counts, row, action, once)
+    counts = _counted(counts, row, action, jnp.ones((), jnp.int32) if weight is None else weight)
     alpha = step_size(counts[row, action]).astype(values.dtype)
     return Table(rules.update_table(values, row, action, alpha * delta), counts), delta
+
+
+def _counted(counts: Array, row: Array, action: Array, weight: Array) -> Array:
+    """The counts with one more of a cell; a sum of them has more bits where JAX has 64."""
+    return rules.update_table(counts, row, action, weight.astype(counts.dtype)).astype(counts.dtype)

@@ -116,7 +116,7 @@ def tabular(
         watkins = target == "greedy"
         backup = backups.traced(traces, hypers.trace_decay, hypers.gamma, watkins=watkins, offline=offline)
     else:
-        backup = backups.one_step() if n_steps == 1 else backups.n_step(n_steps)
+        backup = backups.one_step() if n_steps == 1 else backups.n_step(n_steps, double=double)
     draws = sarsa or double or planning_steps > 0
 
     def alpha(clock: Clock) -> backups.StepSize:
@@ -165,28 +165,31 @@ def tabular(
         clock: Clock,
     ) -> tuple[Table, PyTree, Metrics]:
         """One transition, whose next action is ``a_t``; ``coin`` says which of two tables."""
-        values = table.values
-        row, own, other = one.obs_tm1, one.obs_t, None
+        values, row, own, other = table.values, one.obs_tm1, one.obs_t, None
         if coin is not None:
             row, own, other = one.obs_tm1 + coin * rows, one.obs_t + coin * rows, one.obs_t + (1 - coin) * rows
+
+        def value(selector: Array, by: Array) -> Array:
+            if a_t is not None:
+                return rules.action_value(by, a_t)
+            if target == "expected":
+                probs = policies.epsilon_greedy_probs(behaviour(values, one.obs_t), exploration(clock))
+                return rules.expected_value(by, probs)
+            return rules.double_value(by, selector) if double else rules.greedy_value(by)
+
         q_t = values[own]
-        by = q_t if other is None else values[other]
-        if a_t is not None:
-            v_t = rules.action_value(by, a_t)
-        elif target == "expected":
-            probs = policies.epsilon_greedy_probs(behaviour(values, one.obs_t), exploration(clock))
-            v_t = rules.expected_value(by, probs)
-        else:
-            v_t = rules.greedy_value(by) if other is None else rules.double_value(by, q_t)
+        q_other_t = q_t if other is None else values[other]
         visit = Visit(
             row=row,
             a_tm1=one.a_tm1,
             r_t=one.r_t,
             discount_t=hypers.gamma * (1.0 if bootstrap_terminal else one.continues_t),
-            v_t=v_t,
+            v_t=value(q_t, q_other_t),
             cut_t=one.cut_t,
             greedy_tm1=rules.action_value(values[row], one.a_tm1) == jnp.max(values[row]),
             weight=weight,
+            coin=coin,
+            v_other_t=value(q_other_t, q_t) if double else None,
         )
         table, memory, loss = how.apply(table, memory, visit, alpha(clock))
         return table, memory, Metrics(loss, jnp.max(q_t))
@@ -218,14 +221,14 @@ def tabular(
         """Updates from transitions that the model makes."""
         how = backups.one_step()
 
-        def body(table: Table, key: Key) -> tuple[Table, None]:
-            which, at, coin = jax.random.split(key, 3)
+        def body(table: Table, index: Array) -> tuple[Table, None]:
+            which, at, coin = jax.random.split(jax.random.fold_in(key, index), 3)
             made = model.imagine(which, known, num_actions)
             one = Transition(made.s_tm1, made.a_tm1, made.r_t, made.continues_t, made.s_t, jnp.ones((), bool))
             a_t = draw(at, table, made.s_t, clock) if sarsa else None
             return learn(table, (), how, one, a_t, None, flip(coin), clock)[0], None
 
-        return jax.lax.scan(body, table, jax.random.split(key, planning_steps))[0]
+        return jax.lax.scan(body, table, jnp.arange(planning_steps, dtype=jnp.int32))[0]
 
     def update(key: Key, state: TabularState, experience: Transition, clock: Clock) -> tuple[TabularState, Metrics]:
         rollout, envs = experience.r_t.shape
