@@ -11,19 +11,33 @@ from typing import Any
 from jaxq.envs.auto_reset import auto_reset
 from jaxq.envs.cartpole import CartPoleParams, CartPoleState, cartpole
 from jaxq.envs.discretise import discretise, tutorial_edges
+from jaxq.envs.mdp import MDP, MDPState, finite_mdp, random_mdp
+from jaxq.envs.one_hot import one_hot
+from jaxq.envs.probes import Probe, ProbeState, probes
+from jaxq.envs.solutions import policy_evaluation, value_iteration
 from jaxq.suggest import nearest
 from jaxq.types import Env
 
 __all__ = [
+    "MDP",
     "CartPoleParams",
     "CartPoleState",
+    "MDPState",
+    "Probe",
+    "ProbeState",
     "auto_reset",
     "cartpole",
     "discretise",
+    "finite_mdp",
     "make",
     "names",
+    "one_hot",
+    "policy_evaluation",
+    "probes",
+    "random_mdp",
     "registered",
     "tutorial_edges",
+    "value_iteration",
 ]
 
 _REGISTRY = {"CartPole-v1": (cartpole, CartPoleParams)}
