@@ -81,4 +81,3 @@ def test_our_side_of_the_differences():
     with jax.enable_x64(True):
         ones = jnp.ones(3, jnp.float32)
         assert rules.n_step_bootstrapped_returns(ones, ones, ones, 2).dtype == jnp.float32
-    assert jnp.isnan(rules.periodic_update(jnp.array(jnp.nan), jnp.array(1.0), 1, 2))

@@ -13,9 +13,8 @@ def polyak_update(online: PyTree, target: PyTree, tau: ArrayLike) -> PyTree:
     """A step of the target towards the online parameters.
 
     target <- tau online + (1 - tau) target, leaf by leaf, in the target's dtypes. Shapes: trees alike, tau []. tau is
-    in [0, 1]; with 0 the target stays as it is, bit for bit, with 1 it becomes the online one. Raises ValueError where
-    the trees differ. Polyak and Juditsky, 1992; Lillicrap et al., *Continuous Control with Deep Reinforcement
-    Learning*, 2016.
+    in [0, 1]; where ``online`` is finite, 0 leaves the target as it is, bit for bit. Raises ValueError where the trees
+    differ. Polyak and Juditsky, 1992; Lillicrap et al., *Continuous Control with Deep Reinforcement Learning*, 2016.
 
     >>> polyak_update({"w": jnp.array(4.0)}, {"w": jnp.array(0.0)}, 0.25)["w"].tolist()
     1.0
@@ -35,7 +34,7 @@ def periodic_step(updates: ArrayLike, period: ArrayLike, tau: ArrayLike = 1.0) -
     [1.0, 0.0, 0.0, 1.0, 0.0]
     """
     updates, period, tau = arrays(updates=(updates, ""), period=(period, ""), tau=(tau, ""))
-    return jnp.where(jnp.asarray(updates) % period == 0, tau, 0.0)
+    return jnp.where(updates % period == 0, tau, 0.0)
 
 
 def periodic_update(online: PyTree, target: PyTree, updates: ArrayLike, period: ArrayLike) -> PyTree:
@@ -47,4 +46,6 @@ def periodic_update(online: PyTree, target: PyTree, updates: ArrayLike, period: 
     >>> [float(periodic_update(jnp.array(4.0), jnp.array(0.0), updates, 2)) for updates in range(3)]
     [4.0, 0.0, 4.0]
     """
-    return polyak_update(online, target, periodic_step(updates, period))
+    updates, period = arrays(updates=(updates, ""), period=(period, ""))
+    now = updates % period == 0
+    return jax.tree.map(lambda new, old: jnp.where(now, new, old).astype(jnp.result_type(old)), online, target)
