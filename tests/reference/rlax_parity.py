@@ -8,8 +8,9 @@ no rlax, as ``tests/test_parity.py`` does:
 
 The inputs are float32's numbers, and the truth for both precisions is what rlax makes of them in float64. An error is
 relative to the larger of 1 and the true number. Where numbers above 10 go in, an error in float32 is relative to the
-largest of them as well, as the difference of two numbers of size 1000 has no more digits. Gradients are those of a weighted sum of what a rule returns,
-with respect to every value or logit that goes in: those through a target that is a constant must be 0.
+largest of them as well, as the difference of two numbers of size 1000 has no more digits. Gradients are those of a
+weighted sum of what a rule returns, with respect to every value or logit that goes in: those through a target that is a
+constant must be 0.
 """
 
 from __future__ import annotations
