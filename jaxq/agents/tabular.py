@@ -179,12 +179,13 @@ def tabular(
 
         q_t = values[own]
         q_other_t = q_t if other is None else values[other]
+        v_t = value(q_t, q_other_t)
         visit = Visit(
             row=row,
             a_tm1=one.a_tm1,
             r_t=one.r_t,
             discount_t=hypers.gamma * (1.0 if bootstrap_terminal else one.continues_t),
-            v_t=value(q_t, q_other_t),
+            v_t=v_t,
             cut_t=one.cut_t,
             greedy_tm1=rules.action_value(values[row], one.a_tm1) == jnp.max(values[row]),
             weight=weight,
