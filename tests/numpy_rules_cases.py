@@ -75,7 +75,7 @@ ERRORS = ("q_tm1", "q_logits_tm1", "dist_q_tm1")
 LENGTHS = [
     {"A": 3, "T": 6, "K": 4, "M": 3, "N": 2, "S": 5},
     {"A": 1, "T": 1, "K": 1, "M": 1, "N": 1, "S": 1},
-    {"A": 2, "T": 40, "K": 3, "M": 7, "N": 5, "S": 300},
+    {"A": 2, "T": 21, "K": 3, "M": 7, "N": 5, "S": 300},
 ]
 RULES = {line.split()[0]: re.findall(r"(\w+)\[(\w*)\]", line) for line in SIGNATURES.strip().splitlines()}
 NAMES = list(RULES)

