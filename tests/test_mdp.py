@@ -105,6 +105,10 @@ CASES = {
 CASES["rewards of transitions"] = CASES["few successors"]._replace(
     reward=np.random.default_rng(9).normal(size=(6, 3, 6))
 )
+# What stands in the row of a terminal state is of no account.
+CASES["an end with a way out"] = some_mdp(5, terminal=0)._replace(
+    start=np.array([0, 0.5, 0.5, 0, 0, 0]), terminal=np.array([True, False, False, False, True, False])
+)
 
 
 @pytest.fixture(params=CASES, ids=str)
@@ -264,6 +268,9 @@ def test_values_without_discount_where_every_policy_ends():
     mdp = CASES["dense"]
     got = exact(value_iteration, mdp.transition, mdp.reward, 1.0, mdp.terminal)
     np.testing.assert_allclose(got, iterated(mdp, 1.0), rtol=1e-11)
+    greedy = np.eye(3)[got.argmax(-1)]
+    own = exact(policy_evaluation, mdp.transition, mdp.reward, 1.0, greedy, mdp.terminal)
+    np.testing.assert_allclose(own, got, rtol=1e-11)
 
 
 def test_values_that_do_not_converge_are_nan():

@@ -83,9 +83,9 @@ def policy_evaluation(
     p, r, c = _arrays(transition, reward, gamma, terminal)
     check_distribution("policy", policy, r.shape)
     pi = jnp.asarray(policy, p.dtype)
-    # Terminal columns and rows are zero, so that V is 0 there.
-    onward = jnp.einsum("sa,sat->st", pi, p, precision="highest") * c * c[:, None]
-    v = jnp.linalg.solve(jnp.eye(len(c), dtype=p.dtype) - jnp.asarray(gamma, p.dtype) * onward, jnp.sum(pi * r, -1) * c)
+    # Nothing is worth anything after an end: its columns are 0. What its own row says is not read.
+    onward = jnp.einsum("sa,sat->st", pi, p, precision="highest") * c
+    v = jnp.linalg.solve(jnp.eye(len(c), dtype=p.dtype) - jnp.asarray(gamma, p.dtype) * onward, jnp.sum(pi * r, -1))
     return _backup(p, r, c, gamma, v)
 
 
