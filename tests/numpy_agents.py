@@ -147,17 +147,19 @@ class NStep:
     """Sutton and Barto, section 7.2: at time t the visit tau = t - n + 1 is updated; n = 1 is their section 6.4."""
 
     def __init__(self, q, alpha, n=1):
-        self.q, self.alpha, self.n, self.episode = q, alpha, n, []
+        self.q, self.alpha, self.n, self.episode, self.errors = q, alpha, n, [], []
 
     def see(self, one, v):
         self.episode.append(one)
+        self.errors = []
         last = len(self.episode) - 1
         tau = last - self.n + 1
         for k in range(max(tau, 0), last + 1) if one.cut else range(tau, tau + 1):
             if k >= 0:
                 cell = self.episode[k].s, self.episode[k].a
                 self.alpha.visit(cell)
-                self.q[cell] += self.alpha(cell) * (returns(self.episode[k:], v) - self.q[cell])
+                self.errors.append(returns(self.episode[k:], v) - self.q[cell])
+                self.q[cell] += self.alpha(cell) * self.errors[-1]
         if one.cut:
             self.episode = []
 

@@ -32,6 +32,14 @@ def recorded(seed, count, outcomes, cells=CELLS):
     return learn(model.empty(STATES, ACTIONS, outcomes), given), book
 
 
+def after(outcomes, given):
+    """The model after these cells and rewards."""
+    known, record = model.empty(STATES, ACTIONS, outcomes), jax.jit(model.record)
+    for cell, reward in given:
+        known = record(known, jnp.array(cell), reward, 1.0, jnp.array(0))
+    return known
+
+
 def imagined(known, count=20_000, seed=0):
     draw = jax.jit(jax.vmap(lambda key: model.imagine(key, known, ACTIONS)))
     return jax.device_get(draw(jax.random.split(jax.random.key(seed), count)))
@@ -51,9 +59,7 @@ def test_a_model_is_a_dictionary_of_the_last_outcomes(outcomes, count):
 
 
 def test_an_outcome_takes_the_place_of_the_oldest_one():
-    known = model.empty(STATES, ACTIONS, 2)
-    for reward in (1.0, 2.0, 3.0):
-        known = model.record(known, jnp.array(5), reward, 1.0, jnp.array(0))
+    known = after(2, [(5, 1.0), (5, 2.0), (5, 3.0)])
     assert sorted(known.r_t[5].tolist()) == [2.0, 3.0]
     assert (known.known[:1].tolist(), int(known.num_known), int(known.tried[5])) == ([5], 1, 3)
 
@@ -76,18 +82,13 @@ def test_what_is_imagined_has_been_seen_and_every_tried_cell_and_outcome_is_equa
 
 
 def test_an_outcome_that_came_twice_is_twice_as_likely():
-    known = model.empty(STATES, ACTIONS, 3)
-    for reward in (1.0, 2.0, 2.0):
-        known = model.record(known, jnp.array(3), reward, 1.0, jnp.array(0))
+    known = after(3, [(3, 1.0), (3, 2.0), (3, 2.0)])
     seen = imagined(known).r_t
     assert stats.binomtest(int(np.sum(seen == 2.0)), len(seen), 2 / 3).pvalue > 1e-4
 
 
 def test_the_cell_and_its_outcome_are_independent():
-    known = model.empty(STATES, ACTIONS, 2)
-    for cell in (1, 6):
-        for reward in (0.0, 1.0):
-            known = model.record(known, jnp.array(cell), reward, 1.0, jnp.array(0))
+    known = after(2, [(cell, reward) for cell in (1, 6) for reward in (0.0, 1.0)])
     made = imagined(known)
     table = [[np.sum((made.s_tm1 == s) & (made.r_t == r)) for r in (0.0, 1.0)] for s in (0, 3)]
     assert stats.chi2_contingency(table).pvalue > 1e-4
@@ -96,6 +97,6 @@ def test_the_cell_and_its_outcome_are_independent():
 def test_a_model_keeps_the_bits_that_JAX_has():
     for x64 in (False, True):
         with jax.enable_x64(x64):
-            known = model.record(model.empty(1, 1, 1), jnp.array(0), 0.1, 1.0, jnp.array(0))
+            known = jax.eval_shape(model.record, model.empty(1, 1, 1), jnp.array(0), 0.1, 1.0, jnp.array(0))
             assert known.r_t.dtype == (np.float64 if x64 else np.float32)
             assert (known.tried.dtype, known.known.dtype, known.num_known.dtype) == (np.int32,) * 3

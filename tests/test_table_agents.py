@@ -9,11 +9,15 @@ import pytest
 from numpy_agents import (
     ACTIONS,
     ENVS,
+    EPSILON,
     STATES,
     STEPS,
+    VALUES,
+    Constant,
     NStep,
     clock,
     example,
+    in_order,
     numbers,
     random_table,
     record,
@@ -106,11 +110,39 @@ def test_one_of_n_steps_is_one_step_bit_for_bit(weight):
     assert np.array_equal(ours.values, start) == (weight == 0.0)
 
 
+@pytest.mark.parametrize(("target", "n"), [("sarsa", 1), ("sarsa", 3), ("greedy", 3)])
+def test_the_loss_is_half_the_squared_error_of_what_was_learnt_and_0_where_nothing_was(target, n):
+    """Of a transition that ends several visits it is their mean, and so it is of two transitions that are learnt."""
+    it, losses, q = record(8, STEPS, 1), {}, START.copy()
+    learner = NStep(q, Constant(), n)
+    for t, _, one in in_order(it, sarsa=target == "sarsa"):
+        learner.see(one, VALUES[target](q, one))
+        losses.setdefault(t, []).append(0.5 * np.mean(np.square(learner.errors)) if learner.errors else 0.0)
+    ours = measured(it, target, n).loss
+    theirs = np.array([np.mean(losses.get(t, 0.0)) for t in range(STEPS)])
+    assert np.sum(theirs == 0) > 3
+    np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-5)
+
+
 # What is not learnt yet, and what is over
 
 
-def agent_of(**parts):
-    return tabular(numbers(np.float32), num_states=STATES, num_actions=ACTIONS, **parts)
+def measured(it, target, n):
+    """What updates with one transition each report."""
+    agent, experience = agent_of(target=target, n_steps=n, epsilon=0.0), transitions(it, np.float32)
+    state = agent.init(jax.random.key(0), example(experience))
+    state = state._replace(table=state.table.at[:STATES].set(START))
+
+    def update(state, one):
+        return agent.update(jax.random.key(0), state, jax.tree.map(lambda leaf: leaf[None], one), clock())
+
+    return jax.jit(lambda state: jax.lax.scan(update, state, experience)[1])(state)
+
+
+def agent_of(epsilon=EPSILON, **parts):
+    return tabular(
+        numbers(np.float32, epsilon_min=epsilon, epsilon_max=epsilon), num_states=STATES, num_actions=ACTIONS, **parts
+    )
 
 
 def test_nothing_is_learnt_of_a_transition_before_its_next_action_is_known():

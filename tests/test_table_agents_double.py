@@ -148,7 +148,8 @@ def test_the_policy_is_the_mean_of_both_tables_and_actions_follow_it():
     one, other = state.table[:STATES], state.table[ROWS : ROWS + STATES]
     np.testing.assert_allclose(agent.policy(state), (one + other) / 2, rtol=1e-6)
     mean = (one + other) / 2
-    acts = [int(agent.act(jax.random.key(5), state, jnp.int32(s), clock())) for s in range(STATES)]
+    act = jax.jit(agent.act)
+    acts = [int(act(jax.random.key(5), state, jnp.int32(s), clock())) for s in range(STATES)]
     assert acts == np.argmax(mean, axis=1).tolist()
     assert acts != np.argmax(one, axis=1).tolist()
     assert acts != np.argmax(other, axis=1).tolist()
@@ -166,12 +167,11 @@ def test_double_q_learning_is_not_optimistic_where_q_learning_is():
         agent = tabular(numbers(np.float32, gamma=1.0), num_states=2, num_actions=actions, double=double)
         state = agent.init(jax.random.key(0), example(experience))
         update = jax.jit(agent.update, compiler_options=FAST_COMPILE)
-        trained, mean = [], []
+        mean = []
         for part in range(0, steps, 200):
             cut = jax.tree.map(lambda x, part=part: x[part : part + 200], experience)
             state, _ = update(jax.random.key(part), state, cut, clock())
             mean.append(agent.policy(state)[0, 0])
-            trained.append(state)
         found[double] = np.mean(mean[5:])
     assert found[False] > 0.3
     assert abs(found[True]) < 0.15

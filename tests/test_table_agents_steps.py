@@ -92,10 +92,11 @@ def test_optimistic_values_make_a_greedy_agent_try_every_action():
     tried = {}
     for first in (5.0, 0.0):
         agent = agent_of({"initial_value": first, "epsilon_min": 0.0, "epsilon_max": 0.0, "gamma": 0.0})
+        act = jax.jit(agent.act)
         state, update, tried[first] = agent.init(jax.random.key(0), None), jitted(agent), []
         np.testing.assert_array_equal(agent.policy(state), np.full((STATES, ACTIONS), first))
         for t in range(ACTIONS):
-            action = agent.act(jax.random.key(t), state, jnp.int32(1), clock())
+            action = act(jax.random.key(t), state, jnp.int32(1), clock())
             tried[first].append(int(action))
             state, _ = update(jax.random.key(t), state, step(1, action, 1.0, 1, cut=True), clock())
     assert tried == {5.0: [0, 1, 2], 0.0: [0, 0, 0]}

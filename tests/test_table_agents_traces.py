@@ -253,6 +253,13 @@ def test_by_visits_it_is_the_mean_of_all_returns_so_far():
 # With other parts
 
 
+@pytest.mark.parametrize(("target", "kind"), [("greedy", "replacing"), ("expected", "dutch")])
+def test_traces_end_at_a_termination_through_which_the_agent_bootstraps(target, kind):
+    ours = tables(RECORD, START, target=target, traces=kind, offline=False, bootstrap_terminal=True)
+    same(ours, run(RECORD, START, learner(target, kind), target, bootstrap_terminal=True))
+    assert not np.allclose(ours[-1], run(RECORD, START, learner(target, kind), target)[-1], atol=0.01)
+
+
 @pytest.mark.parametrize(
     ("target", "kind", "offline"),
     [("greedy", "accumulating", False), ("expected", "replacing", False), ("sarsa", "accumulating", True)],
