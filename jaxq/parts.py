@@ -1,6 +1,7 @@
 """Parts: the tables of a run directory as Parquet files, a batch of lanes each, and the policies beside them.
 
-A batch's ``lanes`` part, its commit, says in its metadata what else belongs to the batch, with its SHA-256.
+A batch's ``lanes`` part, its commit, says in its metadata what else belongs to the batch, with its SHA-256, and its
+own: that of the file with zeros in its place, since the checksums of pages do not cover what describes them.
 """
 
 from __future__ import annotations
@@ -21,14 +22,17 @@ from jaxq.store import Weights
 from jaxq.tables import in_order, with_order
 
 _ABOUT = b"jaxq"
+#: Where the SHA-256 of a ``lanes`` part stands in it.
+_OWN = b'"sha256": "%s"'
 
 
 def table_bytes(table: pa.Table, about: Mapping[str, Any] | None = None) -> bytes:
-    """A table as a Parquet file with a checksum per page, and with ``about`` in its metadata."""
-    table = table.replace_schema_metadata(None if about is None else {_ABOUT: json.dumps(about)})
+    """A table as a Parquet file with a checksum per page; with ``about`` in its metadata, and a SHA-256 of all."""
+    says = {} if about is None else {_ABOUT: json.dumps({**about, "sha256": "0" * 64})}
     sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, write_page_checksum=True, compression="zstd")
-    return sink.getvalue().to_pybytes()
+    pq.write_table(table.replace_schema_metadata(says), sink, write_page_checksum=True, compression="zstd")
+    data = sink.getvalue().to_pybytes()
+    return data.replace(_OWN % (b"0" * 64), _OWN % run_files.sha256(data).encode())
 
 
 def policies_bytes(policies: Mapping[tuple[int, int], Weights], about: Mapping[str, str]) -> bytes:
@@ -77,9 +81,13 @@ def commit(path: Path, number: str) -> dict[str, Any] | None:
     """
     part = path / run_files.lanes_part(number)
     try:
-        metadata = pq.read_table(part, page_checksum_verification=True).schema.metadata or {}
+        metadata = pq.read_metadata(part).metadata or {}
         about: dict[str, Any] = json.loads(metadata[_ABOUT])
-        same = all(run_files.sha256((path / name).read_bytes()) == digest for name, digest in about["files"].items())
+        own = about.pop("sha256")
+        blank = part.read_bytes().replace(_OWN % own.encode(), _OWN % (b"0" * 64))
+        same = run_files.sha256(blank) == own and all(
+            run_files.sha256((path / name).read_bytes()) == digest for name, digest in about["files"].items()
+        )
     except (OSError, ValueError, KeyError, pa.ArrowException):
         return None
     there = {file for found, file in run_files.batches(path) if found == number}

@@ -6,7 +6,7 @@ import faults
 import pytest
 from faults import Watched, assert_same, death
 
-from jaxq import batches, run_files
+from jaxq import batches, parts, run_files
 
 TABLES = faults.tables(gamma=[0.9, 0.99], seeds=4)
 
@@ -112,3 +112,16 @@ def test_what_is_damaged_does_not_come_into_a_manifest_that_is_made_again(tmp_pa
     faults.DAMAGES[damage](path / name)
     assert len(Watched(path, TABLES, allow=True).ran) == 3
     assert_same(path, whole)
+
+
+def test_a_flipped_bit_anywhere_in_a_commit_is_seen(tmp_path, whole):
+    """The checksums of Parquet's pages leave out its footer, which is most of a small part."""
+    path = shutil.copytree(whole, tmp_path / "run")
+    part = path / run_files.lanes_part("00000")
+    sound = part.read_bytes()
+    assert parts.commit(path, "00000") is not None
+    for place in range(0, len(sound), 37):
+        data = bytearray(sound)
+        data[place] ^= 1 << place % 8
+        part.write_bytes(bytes(data))
+        assert parts.commit(path, "00000") is None, place
