@@ -88,7 +88,7 @@ def commit(path: Path, number: str) -> dict[str, Any] | None:
         same = run_files.sha256(blank) == own and all(
             run_files.sha256((path / name).read_bytes()) == digest for name, digest in about["files"].items()
         )
-    except (OSError, ValueError, KeyError, pa.ArrowException):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
         return None
     there = {file for found, file in run_files.batches(path) if found == number}
     return about if same and there == {part, *(path / name for name in about["files"])} else None

@@ -139,7 +139,9 @@ def test_a_plan_is_known_by_all_that_decides_its_result():
 
 
 def test_every_preset_plans_with_a_known_key_family():
-    tables = "article-q q-learning sarsa expected-sarsa double-q-learning n-step-q-learning q-lambda sarsa-lambda dyna-q"
+    tables = (
+        "article-q q-learning sarsa expected-sarsa double-q-learning n-step-q-learning q-lambda sarsa-lambda dyna-q"
+    )
     assert [p.name for p in presets()] == [*tables.split(), "monte-carlo", "article-dqn", "dqn"]
     for p in presets():
         assert plan(p.name).prng in families.FAMILIES
