@@ -89,7 +89,7 @@ def test_n_may_be_a_numpy_integer_and_longer_than_the_trajectory():
 
 @pytest.mark.parametrize("size", [0, -1, 4])
 def test_a_subset_of_no_members_or_of_more_than_there_are_is_an_error(size):
-    with pytest.raises(ValueError, match=f"^size: {size} is not allowed: 1 to 3"):
+    with pytest.raises(ValueError, match=f"^size: {size} is not allowed: a whole number from 1 to 3$"):
         rules.random_subset(jax.random.key(0), jnp.ones((3, 2)), size)
     with pytest.raises(ValueError, match=r"^q_t: shape \(3,\) is not allowed: \[K, A\]"):
         rules.random_subset(jax.random.key(1), jnp.ones(3), 1)
@@ -97,8 +97,30 @@ def test_a_subset_of_no_members_or_of_more_than_there_are_is_an_error(size):
 
 @pytest.mark.parametrize("count", [0, -3])
 def test_no_quantiles_are_an_error(count):
-    with pytest.raises(ValueError, match=f"^count: {count} is not allowed: at least 1"):
+    with pytest.raises(ValueError, match=f"^count: {count} is not allowed: a whole number from 1$"):
         rules.quantile_midpoints(count)
+
+
+def test_a_whole_number_that_is_traced_is_an_error_that_names_static_argnames():
+    ones = jnp.ones(3)
+    with pytest.raises(ValueError, match=r"^n: a traced value .* static_argnames"):
+        jax.jit(rules.n_step_bootstrapped_returns)(ones, ones, ones, 2)
+    with pytest.raises(ValueError, match=r"^count: a traced value .* static_argnames"):
+        jax.jit(rules.quantile_midpoints)(3)
+    with pytest.raises(ValueError, match=r"^size: a traced value .* static_argnames"):
+        jax.jit(rules.random_subset)(jax.random.key(0), jnp.ones((3, 2)), 2)
+    compiled = jax.jit(rules.n_step_bootstrapped_returns, static_argnames="n")
+    np.testing.assert_array_equal(compiled(ones, ones, ones, n=2), [3, 3, 2])
+
+
+def test_leaves_of_other_shapes_are_an_error_that_names_the_leaf():
+    online, target = {"w": jnp.ones(3)}, {"w": jnp.ones(1)}
+    for update in (
+        lambda: rules.polyak_update(online, target, 0.5),
+        lambda: rules.periodic_update(online, target, 0, 1),
+    ):
+        with pytest.raises(ValueError, match=r"^target\['w'\]: shape \(1,\) is not allowed: \(3,\) as in online$"):
+            update()
 
 
 def test_trees_that_differ_are_an_error():

@@ -146,10 +146,10 @@ def traced(kind: str, trace_decay: Array, gamma: Array, *, watkins: bool, offlin
 
     ``kind`` is "accumulating", "replacing", or "dutch" with the corrections of true online learning: q += alpha (delta
     + q[s, a] - v_old) e, then q[s, a] -= alpha (q[s, a] - v_old), both of the value before. With ``watkins`` an action
-    that is not greedy, in the table as its transition finds it, ends the traces before it. ``offline`` gathers delta e and applies it at the cut: with lambda 1,
-    accumulating traces and SARSA's values that is Monte Carlo of every visit; replacing traces are that of first visits
-    where gamma is 1. Sutton and Barto, 2018, chapter 12; Singh and Sutton, 1996; Van Seijen et al., *True Online
-    Temporal-Difference Learning*, 2016.
+    that is not greedy, in the table as its transition finds it, ends the traces before it. ``offline`` gathers delta e
+    and applies it at the cut: with lambda 1, accumulating traces and SARSA's values that is Monte Carlo of every visit;
+    replacing traces are that of first visits where gamma is 1. Sutton and Barto, 2018, chapter 12; Singh and Sutton,
+    1996; Van Seijen et al., *True Online Temporal-Difference Learning*, 2016.
     """
     dutch = kind == "dutch"
 

@@ -7,6 +7,9 @@ argument.
 
 A rule is a *target* put into an *error*: ``q_learning`` is ``td_error`` of the ``td_target`` of the ``greedy_value``.
 Gradients flow through what the error is taken of (``q_tm1``, ``q_logits_tm1``, ``dist_q_tm1``) and nowhere else.
+
+``jax.vmap`` maps keyword arguments as well, so numbers that a batch shares go by position with ``in_axes`` None, or
+into a ``functools.partial`` first.
 """
 
 from jaxq.rules.categorical import (

@@ -12,7 +12,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxq.rules.shapes import arrays
+from jaxq.rules.shapes import arrays, whole
 from jaxq.types import Array, ArrayLike
 
 
@@ -25,8 +25,7 @@ def quantile_midpoints(count: int) -> Array:
     >>> quantile_midpoints(2).tolist()
     [0.25, 0.75]
     """
-    if count < 1:
-        raise ValueError(f"count: {count} is not allowed: at least 1")
+    count = whole("count", count)
     return (jnp.arange(count) + 0.5) / count
 
 

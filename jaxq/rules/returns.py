@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxq.rules import values
-from jaxq.rules.shapes import arrays, per_step
+from jaxq.rules.shapes import arrays, per_step, whole
 from jaxq.types import Array, ArrayLike
 
 
@@ -57,8 +56,7 @@ def n_step_bootstrapped_returns(
     [2.5, 2.0, 2.0]
     """
     r_t, discount_t, v_t = arrays(r_t=(r_t, "T"), discount_t=(discount_t, "T"), v_t=(v_t, "T"))
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise ValueError(f"n: {n!r} is not allowed: a whole number from 1")
+    n = whole("n", n)
     over = _over(discount_t, cut_t)
     lambda_t = _weights(lambda_t, "lambda_t", discount_t, over)
 
@@ -67,7 +65,7 @@ def n_step_bootstrapped_returns(
         return r_t + discount_t * ((1 - lambda_t) * v_t + lambda_t * following)
 
     one_step = (r_t + discount_t * v_t).astype(jnp.result_type(r_t, discount_t, v_t, lambda_t))
-    return jax.lax.fori_loop(1, min(int(n), r_t.shape[0]), longer, one_step)
+    return jax.lax.fori_loop(1, min(n, r_t.shape[0]), longer, one_step)
 
 
 def off_policy_returns(

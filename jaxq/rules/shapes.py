@@ -12,7 +12,9 @@ S     states of a table
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxq.types import Array, ArrayLike
 
@@ -53,3 +55,18 @@ def arrays(**arguments: tuple[ArrayLike, str]) -> tuple[Array, ...]:
 def per_step(value: ArrayLike) -> str:
     """The letters of an argument that is one number, or one for each step: "" or "T"."""
     return "T" if jnp.asarray(value).ndim else ""
+
+
+def whole(name: str, value: int, most: int | None = None) -> int:
+    """A whole number from 1 that shapes the program. Raises ValueError for another one, and for one that is traced.
+
+    >>> whole("n", 0)
+    Traceback (most recent call last):
+    ValueError: n: 0 is not allowed: a whole number from 1
+    """
+    allowed = "a whole number from 1" if most is None else f"a whole number from 1 to {most}"
+    if isinstance(value, jax.core.Tracer):
+        raise ValueError(f"{name}: a traced value is not allowed: {allowed}; under jax.jit name it in static_argnames")
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= (most or value):
+        raise ValueError(f"{name}: {value!r} is not allowed: {allowed}")
+    return int(value)

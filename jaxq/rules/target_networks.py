@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
@@ -20,7 +23,7 @@ def polyak_update(online: PyTree, target: PyTree, tau: ArrayLike) -> PyTree:
     1.0
     """
     (tau,) = arrays(tau=(tau, ""))
-    return jax.tree.map(lambda new, old: (tau * new + (1.0 - tau) * old).astype(jnp.result_type(old)), online, target)
+    return _leaf_by_leaf(lambda new, old: tau * new + (1.0 - tau) * old, online, target)
 
 
 def periodic_step(updates: ArrayLike, period: ArrayLike, tau: ArrayLike = 1.0) -> Array:
@@ -48,4 +51,16 @@ def periodic_update(online: PyTree, target: PyTree, updates: ArrayLike, period: 
     """
     updates, period = arrays(updates=(updates, ""), period=(period, ""))
     now = updates % period == 0
-    return jax.tree.map(lambda new, old: jnp.where(now, new, old).astype(jnp.result_type(old)), online, target)
+    return _leaf_by_leaf(lambda new, old: jnp.where(now, new, old), online, target)
+
+
+def _leaf_by_leaf(step: Callable[[Array, Array], Array], online: PyTree, target: PyTree) -> PyTree:
+    """A function of both trees' leaves, in the target's dtypes."""
+
+    def one(path: Any, new: Array, old: Array) -> Array:
+        if jnp.shape(new) != jnp.shape(old):
+            where = f"target{jax.tree_util.keystr(path)}"
+            raise ValueError(f"{where}: shape {jnp.shape(old)} is not allowed: {jnp.shape(new)} as in online")
+        return step(new, old).astype(jnp.result_type(old))
+
+    return jax.tree_util.tree_map_with_path(one, online, target)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxq.rules.shapes import arrays
+from jaxq.rules.shapes import arrays, whole
 from jaxq.types import Array, ArrayLike, Key
 
 
@@ -119,7 +119,6 @@ def random_subset(key: Key, q_t: ArrayLike, size: int) -> Array:
     3.0
     """
     (q_t,) = arrays(q_t=(q_t, "KA"))
-    members = jnp.shape(q_t)[0]
-    if not 1 <= size <= members:
-        raise ValueError(f"size: {size} is not allowed: 1 to {members}, the members of the ensemble")
+    members = q_t.shape[0]
+    size = whole("size", size, members)
     return q_t[jax.random.choice(key, members, (size,), replace=False)]
