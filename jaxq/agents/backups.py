@@ -18,10 +18,15 @@ from jaxq.types import Array, PyTree
 
 
 class Table(NamedTuple):
-    """Action values ``values`` [S, A], and how often each was updated, ``counts`` [S, A] int32, where that matters."""
+    """Action values ``values`` [S, A], and how often each was updated, ``counts`` [S, A] int32, where that matters.
+
+    ``step_sizes`` [S, A] are those of the counts, where a step moves all cells: to work them out anew each time is a
+    power per cell.
+    """
 
     values: Array
     counts: Array | None
+    step_sizes: Array | None = None
 
 
 class Visit(NamedTuple):
@@ -162,9 +167,13 @@ def traced(kind: str, trace_decay: Array, gamma: Array, *, watkins: bool, offlin
         dtype = values.dtype
         weight = jnp.ones((), dtype) if visit.weight is None else visit.weight.astype(dtype)
         decay = gamma * trace_decay * (visit.greedy_tm1 if watkins else 1)
-        counts = None if table.counts is None else _counted(table.counts, row, action, weight)
-        alpha = step_size(counts)
-        alpha_tm1 = alpha if counts is None else step_size(counts[row, action])
+        if table.counts is None or table.step_sizes is None:
+            counts, alphas = None, None
+            alpha = alpha_tm1 = step_size(None)
+        else:
+            counts = _counted(table.counts, row, action, weight)
+            alpha_tm1 = step_size(counts[row, action])
+            alpha = alphas = table.step_sizes.at[row, action].set(alpha_tm1.astype(dtype))
         if dutch:
             taken = alpha_tm1
             if table.counts is not None:  # the visits before keep the step size that they were made with
@@ -192,7 +201,7 @@ def traced(kind: str, trace_decay: Array, gamma: Array, *, watkins: bool, offlin
         else:
             values = values + alpha.astype(dtype) * delta * trace
         trace = trace * stays + memory.trace * (1 - weight)
-        return Table(values, counts), Traces(trace, increments, v_t), 0.5 * jnp.square(delta)
+        return Table(values, counts, alphas), Traces(trace, increments, v_t), 0.5 * jnp.square(delta)
 
     return Backup(init, apply)
 
@@ -201,15 +210,17 @@ def _move(
     table: Table, row: Array, action: Array, target: Array, weight: Array | None, step_size: StepSize
 ) -> tuple[Table, Array]:
     """One value a step towards its target; the TD error."""
-    values, counts = table
+    values, counts = table.values, table.counts
     delta = rules.td_error(values[row], action, target).astype(values.dtype)
     if weight is not None:
         delta = delta * weight
     if counts is None:
-        return Table(rules.update_table(values, row, action, step_size(None).astype(values.dtype) * delta), None), delta
+        moved = rules.update_table(values, row, action, step_size(None).astype(values.dtype) * delta)
+        return table._replace(values=moved), delta
     counts = _counted(counts, row, action, jnp.ones((), jnp.int32) if weight is None else weight)
     alpha = step_size(counts[row, action]).astype(values.dtype)
-    return Table(rules.update_table(values, row, action, alpha * delta), counts), delta
+    known = None if table.step_sizes is None else table.step_sizes.at[row, action].set(alpha)
+    return Table(rules.update_table(values, row, action, alpha * delta), counts, known), delta
 
 
 def _counted(counts: Array, row: Array, action: Array, weight: Array) -> Array:

@@ -47,12 +47,14 @@ class TabularState(NamedTuple):
     """The table of action values, [S', A]: a row per state and, in a small table, unused rows after them.
 
     A double learner has two such tables, one after the other. ``counts`` [S', A] are the updates of each cell, where
-    step sizes follow them. ``trajectories`` is what is remembered of each environment's episode [N]: the transition
-    that waits for its next action, and the backup's memory.
+    step sizes follow them, and ``step_sizes`` [S', A] these, where traces move all cells. ``trajectories`` is what is
+    remembered of each environment's episode [N]: the transition that waits for its next action, and the backup's
+    memory.
     """
 
     table: Array
     counts: Array | None = None
+    step_sizes: Array | None = None
     trajectories: PyTree = ()
     model: model.Model | None = None
 
@@ -110,7 +112,7 @@ def tabular(
         step_size=step_size,
     ):
         raise ValueError(wrong)
-    sarsa = target == "sarsa"
+    sarsa, by_visits = target == "sarsa", step_size == "visits"
     rows = _rows(num_states, num_actions)
     if traces != "none":
         watkins = target == "greedy"
@@ -120,14 +122,11 @@ def tabular(
     draws = sarsa or double or planning_steps > 0
 
     def alpha(clock: Clock) -> backups.StepSize:
-        if step_size == "episodes":
+        if not by_visits:
             decayed = schedules.log10_decay(clock.episodes, hypers.alpha_min, hypers.alpha_max, hypers.decay_coeff)
             return lambda visits: clock.live * decayed
-        return lambda visits: (
-            clock.live
-            * jnp.maximum(
-                hypers.alpha_min, hypers.alpha_max / jnp.maximum(visits, 1).astype(dtype) ** hypers.visit_power
-            )
+        return lambda visits: jnp.maximum(
+            hypers.alpha_min, hypers.alpha_max / jnp.maximum(visits, 1).astype(dtype) ** hypers.visit_power
         )
 
     def exploration(clock: Clock) -> Array:
@@ -142,7 +141,8 @@ def tabular(
             one = (Waiting(blank, jnp.zeros((), bool)), one)
         return TabularState(
             table=table,
-            counts=jnp.zeros(table.shape, jnp.int32) if step_size == "visits" else None,
+            counts=jnp.zeros(table.shape, jnp.int32) if by_visits else None,
+            step_sizes=jnp.zeros(table.shape, dtype) if by_visits and traces != "none" else None,
             trajectories=jax.tree.map(lambda x: jnp.broadcast_to(x, (num_envs, *x.shape)), one),
             model=model.empty(num_states, num_actions, model_outcomes) if planning_steps else None,
         )
@@ -165,6 +165,8 @@ def tabular(
         clock: Clock,
     ) -> tuple[Table, PyTree, Metrics]:
         """One transition, whose next action is ``a_t``; ``coin`` says which of two tables."""
+        if by_visits:  # what a cell was visited for stands still with the lane, and so do its step sizes
+            weight = clock.live.astype(dtype) * (1 if weight is None else weight)
         values, row, own, other = table.values, one.obs_tm1, one.obs_t, None
         if coin is not None:
             row, own, other = one.obs_tm1 + coin * rows, one.obs_t + coin * rows, one.obs_t + (1 - coin) * rows
@@ -258,11 +260,11 @@ def tabular(
             )
             return (shared, trajectories), metrics
 
-        start = (Table(state.table, state.counts), state.model), state.trajectories
+        start = (Table(state.table, state.counts, state.step_sizes), state.model), state.trajectories
         ((table, known), trajectories), measured = jax.lax.scan(
             at_once, start, (experience, jnp.arange(rollout, dtype=jnp.int32)), unroll=rollout == 1
         )
-        after = TabularState(table.values, table.counts, trajectories, known)
+        after = TabularState(*table, trajectories, known)
         return after, Metrics(jnp.mean(measured.loss), measured.max_q[-1, -1])
 
     def observe(state: TabularState, experience: Transition) -> TabularState:
