@@ -130,16 +130,20 @@ def test_interrupted_in_every_way_and_resumed(start, whole, tmp_path):
 def test_the_second_interrupt_leaves_at_once(monkeypatch, capsys):
     left = []
     monkeypatch.setattr(os, "_exit", left.append)
-    with commands._interrupts(quiet=False) as stop:
-        assert not stop.is_set()
-        signal.raise_signal(signal.SIGINT)
-        assert stop.is_set()
-        assert left == []
-        assert "once more to stop at once" in capsys.readouterr().err
-        signal.raise_signal(signal.SIGTERM)
-        assert left == [130]
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        with commands._interrupts(quiet=False) as stop:
+            assert not stop.is_set()
+            signal.raise_signal(signal.SIGINT)
+            assert stop.is_set()
+            assert left == []
+            assert "once more to stop at once" in capsys.readouterr().err
+            signal.raise_signal(signal.SIGTERM)
+            assert left == [130]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_a_file_that_may_not_grow_is_one_line_and_what_was_committed_stays(start, whole, tmp_path):
