@@ -11,6 +11,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from jaxq.rules.indexing import taken
 from jaxq.rules.shapes import arrays
 from jaxq.types import Array, ArrayLike
 
@@ -41,11 +42,14 @@ def categorical_l2_project(z_p: ArrayLike, probs: ArrayLike, z_q: ArrayLike) -> 
     """
     z_p, probs, z_q = arrays(z_p=(z_p, "K"), probs=(probs, "K"), z_q=(z_q, "M"))
     z = jnp.clip(z_p, z_q[0], z_q[-1])
-    gaps = jnp.diff(z_q)
-    rises = (z - z_q[:-1, None]) / gaps[:, None]  # from 0 at an atom to 1 at the next one; one row per gap
-    ones = jnp.ones_like(rises[:1]) if gaps.size else jnp.ones((1, z.shape[0]), z.dtype)  # beyond the ends
-    tents = jnp.minimum(jnp.concatenate([ones, rises]), jnp.concatenate([1 - rises, ones]))
-    return jnp.sum(jnp.clip(tents, 0, 1) * probs, axis=-1)
+    last = z_q.shape[0] - 1
+    if not last:
+        return jnp.sum(probs, keepdims=True)
+    # An atom has weight on two tents at most: with their place known it is added there, not multiplied with all.
+    lower = jnp.clip(jnp.searchsorted(z_q, z, side="right", method="compare_all") - 1, 0, last - 1)
+    share = (z - z_q[lower]) / jnp.diff(z_q)[lower]
+    projected = jnp.zeros(z_q.shape, jnp.result_type(share, probs))
+    return projected.at[lower].add((1 - share) * probs).at[lower + 1].add(share * probs)
 
 
 def categorical_target(
@@ -70,7 +74,7 @@ def categorical_target(
         q_logits_t=(q_logits_t, "AK"), q_atoms_t=(q_atoms_t, "K"), q_t_selector=(q_t_selector, "A")
     )
     r_t, discount_t, q_atoms_tm1 = arrays(r_t=(r_t, ""), discount_t=(discount_t, ""), q_atoms_tm1=(q_atoms_tm1, "M"))
-    probs = jax.nn.softmax(_row(q_logits_t, jnp.argmax(q_t_selector)))
+    probs = jax.nn.softmax(taken(q_logits_t, jnp.argmax(q_t_selector)))
     return categorical_l2_project(r_t + discount_t * q_atoms_t, probs, q_atoms_tm1)
 
 
@@ -86,7 +90,7 @@ def categorical_error(q_logits_tm1: ArrayLike, a_tm1: ArrayLike, target_tm1: Arr
     q_logits_tm1, a_tm1, target_tm1 = arrays(
         q_logits_tm1=(q_logits_tm1, "AK"), a_tm1=(a_tm1, ""), target_tm1=(target_tm1, "K")
     )
-    return -jnp.sum(jax.lax.stop_gradient(target_tm1) * jax.nn.log_softmax(_row(q_logits_tm1, a_tm1)))
+    return -jnp.sum(jax.lax.stop_gradient(target_tm1) * jax.nn.log_softmax(taken(q_logits_tm1, a_tm1)))
 
 
 def categorical_double_q_learning(
@@ -141,8 +145,3 @@ def categorical_q_learning(
     return categorical_double_q_learning(
         q_atoms_tm1, q_logits_tm1, a_tm1, r_t, discount_t, q_atoms_t, q_logits_t, selector
     )
-
-
-def _row(rows: ArrayLike, action: ArrayLike) -> Array:
-    """rows[action] as a masked sum, like ``values.action_value``. Shapes: rows [A, K] -> [K]."""
-    return jnp.sum(jnp.where(jnp.arange(jnp.shape(rows)[0])[:, None] == action, rows, 0), axis=0)

@@ -8,12 +8,17 @@ must be the value of the true successor. A termination may be marked in ``cut_t`
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
 from jaxq.rules import values
 from jaxq.rules.shapes import arrays, per_step, whole
 from jaxq.types import Array, ArrayLike
+
+#: Steps of an n-step return that are one pass over the trajectory: more of them compile longer and are no faster.
+UNROLLED = 8
 
 
 def lambda_returns(
@@ -33,7 +38,7 @@ def lambda_returns(
     r_t, discount_t, v_t = arrays(r_t=(r_t, "T"), discount_t=(discount_t, "T"), v_t=(v_t, "T"))
     over = _over(discount_t, cut_t)
     lambda_ = _weights(lambda_, "lambda_", discount_t, over)
-    return _returns(r_t, discount_t, (1 - lambda_) * v_t, lambda_, over)
+    return _returns(r_t, discount_t, (1 - lambda_) * v_t, lambda_, None if cut_t is None else over)
 
 
 def n_step_bootstrapped_returns(
@@ -65,7 +70,8 @@ def n_step_bootstrapped_returns(
         return r_t + discount_t * ((1 - lambda_t) * v_t + lambda_t * following)
 
     one_step = (r_t + discount_t * v_t).astype(jnp.result_type(r_t, discount_t, v_t, lambda_t))
-    return jax.lax.fori_loop(1, min(n, r_t.shape[0]), longer, one_step)
+    steps = min(n, r_t.shape[0]) - 1
+    return jax.lax.fori_loop(0, steps, longer, one_step, unroll=max(1, min(steps, UNROLLED)))
 
 
 def off_policy_returns(
@@ -96,7 +102,8 @@ def off_policy_returns(
     expected, taken = jax.vmap(values.expected_value)(q_t, pi_t), jax.vmap(values.action_value)(q_t, a_t)
     over = _over(discount_t, cut_t)
     c_t = _weights(c_t, "c_t", discount_t, over)
-    return _returns(r_t, discount_t, expected - c_t * jnp.where(over, 0, taken), c_t, over)
+    rest_t = expected - c_t * jnp.where(over, 0, taken)
+    return _returns(r_t, discount_t, rest_t, c_t, None if cut_t is None else over)
 
 
 def watkins_lambda(q_t: ArrayLike, a_t: ArrayLike, lambda_: ArrayLike) -> Array:
@@ -130,17 +137,18 @@ def _weights(weight: ArrayLike, name: str, discount_t: Array, over: Array) -> Ar
     return jnp.where(over, jnp.zeros((), jnp.result_type(discount_t, weight)), weight)
 
 
-def _returns(r_t: Array, discount_t: Array, rest_t: Array, weight_t: Array, over: Array) -> Array:
-    """G_t = r_t + discount_t (rest_t + weight_t G_{t+1}), from the last step to the first."""
+def _returns(r_t: Array, discount_t: Array, rest_t: Array, weight_t: Array, over: Array | None) -> Array:
+    """G_t = r_t + discount_t (rest_t + weight_t G_{t+1}), from the last step to the first; without cuts no ``over``."""
     dtype = jnp.result_type(r_t, discount_t, rest_t, weight_t)
     return jax.lax.scan(_back, jnp.zeros((), dtype), (r_t, discount_t, rest_t, weight_t, over), reverse=True)[1]
 
 
-def _back(following: Array, step: tuple[Array, ...]) -> tuple[Array, Array]:
+def _back(following: Array, step: tuple[Any, ...]) -> tuple[Array, Array]:
     """One step back in time; a function of the module, so that a scan outside jit is compiled once.
 
     What follows in another episode is replaced, not only weighted with 0: it may be infinite.
     """
     r_t, discount_t, rest_t, weight_t, over = step
-    value = r_t + discount_t * (rest_t + weight_t * jnp.where(over, 0, following))
+    follows = following if over is None else jnp.where(over, 0, following)
+    value = r_t + discount_t * (rest_t + weight_t * follows)
     return value, value

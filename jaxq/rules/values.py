@@ -8,6 +8,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from jaxq.rules.indexing import taken
 from jaxq.rules.shapes import arrays, whole
 from jaxq.types import Array, ArrayLike, Key
 
@@ -22,8 +23,7 @@ def action_value(q_t: ArrayLike, a_t: ArrayLike) -> Array:
     1.0
     """
     q_t, a_t = arrays(q_t=(q_t, "A"), a_t=(a_t, ""))
-    # A masked sum: under vmap on a CPU it stays vector code, where indexing becomes a gather loop.
-    return jnp.sum(jnp.where(jnp.arange(jnp.shape(q_t)[-1]) == a_t, q_t, 0))
+    return taken(q_t, a_t)
 
 
 def greedy_value(q_t: ArrayLike) -> Array:

@@ -57,7 +57,7 @@ DIFFERENCES = (
         "an action outside 0 .. A - 1",
         "clamped, -1 is the last one; NaN in rules of trajectories",
         "its value is 0",
-        "a masked sum stays vector code under vmap; padding may use any index",
+        "padding may use any index, and none reads another action's value",
     ),
     (
         "stop_target_gradients",
