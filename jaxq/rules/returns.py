@@ -8,8 +8,6 @@ must be the value of the true successor. A termination may be marked in ``cut_t`
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
@@ -140,15 +138,15 @@ def _weights(weight: ArrayLike, name: str, discount_t: Array, over: Array) -> Ar
 def _returns(r_t: Array, discount_t: Array, rest_t: Array, weight_t: Array, over: Array | None) -> Array:
     """G_t = r_t + discount_t (rest_t + weight_t G_{t+1}), from the last step to the first; without cuts no ``over``."""
     dtype = jnp.result_type(r_t, discount_t, rest_t, weight_t)
-    return jax.lax.scan(_back, jnp.zeros((), dtype), (r_t, discount_t, rest_t, weight_t, over), reverse=True)[1]
+    known_t, share_t = (r_t + discount_t * rest_t).astype(dtype), (discount_t * weight_t).astype(dtype)
+    return jax.lax.scan(_back, jnp.zeros((), dtype), (known_t, share_t, over), reverse=True)[1]
 
 
-def _back(following: Array, step: tuple[Any, ...]) -> tuple[Array, Array]:
+def _back(following: Array, step: tuple[Array, Array, Array | None]) -> tuple[Array, Array]:
     """One step back in time; a function of the module, so that a scan outside jit is compiled once.
 
     What follows in another episode is replaced, not only weighted with 0: it may be infinite.
     """
-    r_t, discount_t, rest_t, weight_t, over = step
-    follows = following if over is None else jnp.where(over, 0, following)
-    value = r_t + discount_t * (rest_t + weight_t * follows)
+    known_t, share_t, over = step
+    value = known_t + share_t * (following if over is None else jnp.where(over, 0, following))
     return value, value
