@@ -59,10 +59,10 @@ class Once(argparse.Action):
         given = vars(namespace).setdefault("given", {})  # in the order of the words, which is that of the axes
         if self.dest in given:
             raise UsageError(
-                f"{option_string} stands twice{'; several values follow one flag' if self.nargs == '+' else ''}"
+                f"{option_string} stands twice{'; several values follow one flag' if self.nargs in ('+', '*') else ''}"
             )
-        given[self.dest] = values
-        setattr(namespace, self.dest, values)
+        given[self.dest] = self.const if values == [] else values
+        setattr(namespace, self.dest, given[self.dest])
 
 
 def whole(text: str) -> int:
@@ -234,11 +234,13 @@ def _add_flag(group: Any, name: str, info: FieldInfo, default: Any, several: boo
     shown = "none" if shown is None else "no limit" if shown == NO_LIMIT else shown
     text = f"{info.description} (default {shown})".replace("%", "%%")
     flag = f"--{name.replace('_', '-')}"
-    metavar = "true|false" if info.annotation is bool else "VALUE"
+    switch = info.annotation is bool  # alone it is true
+    how: dict[str, Any] = {"metavar": "true|false" if switch else "VALUE"}
     if several:
-        group.add_argument(flag, action=Once, nargs="+", default=None, help=text, metavar=metavar, dest=f"set_{name}")
-    else:
-        group.add_argument(flag, action=Once, default=None, help=text, metavar=metavar, dest=f"set_{name}")
+        how |= {"nargs": "*", "const": ["true"]} if switch else {"nargs": "+"}
+    elif switch:
+        how |= {"nargs": "?", "const": "true"}
+    group.add_argument(flag, action=Once, default=None, help=text, dest=f"set_{name}", **how)
 
 
 def given_values(chosen: Preset, options: argparse.Namespace) -> dict[str, Any]:

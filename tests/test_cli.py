@@ -16,7 +16,9 @@ import pytest
 import safetensors.numpy
 
 import jaxq
+from jaxq import flags
 from jaxq.cli import main
+from jaxq.presets import preset
 
 SHORT = ["--max-episodes", "60", "--success-steps", "30", "--success-streak", "2"]
 TINY = "--hidden 16 --batch-size 16 --learning-starts 32 --buffer-size 500 --max-env-steps 600".split()
@@ -341,6 +343,15 @@ def test_dry_run_says_what_would_run_and_runs_nothing(capsys):
     assert told.pop("memory_bytes") > 100_000_000
     assert told == {"settings": 1, "seeds": 3, "lanes": 3, "programs": 1}
     assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize(
+    "words", [["--double"], ["--double", "--gamma", "0.9"], ["--double", "true"], ["--double=true"]]
+)
+def test_a_switch_alone_is_true(words):
+    chosen = preset("q-learning")
+    assert flags.given_values(chosen, flags.parse("sweep", chosen, words))["double"] == ["true"]
+    assert flags.given_values(chosen, flags.parse("train", chosen, words))["double"] == "true"
 
 
 def test_version_list_and_help(capsys):
