@@ -106,9 +106,9 @@ def persistent_q_learning(q_tm1, a_tm1, r_t, discount_t, q_t, action_gap_scale):
 
 
 def persistent_advantage_learning(q_tm1, a_tm1, r_t, discount_t, q_t, q_tm1_target, action_gap_scale):
-    gap = greedy_value(q_tm1_target) - q_tm1_target[a_tm1]
+    gap = action_gap_scale * (greedy_value(q_tm1_target) - q_tm1_target[a_tm1])
     next_gap = discount_t * (greedy_value(q_t) - q_t[a_tm1])
-    return r_t + discount_t * greedy_value(q_t) - action_gap_scale * min(gap, next_gap) - q_tm1[a_tm1]
+    return r_t + discount_t * greedy_value(q_t) - min(gap, next_gap) - q_tm1[a_tm1]
 
 
 def averaged_q_learning(q_tm1, a_tm1, r_t, discount_t, q_t):

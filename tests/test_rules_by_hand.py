@@ -51,8 +51,8 @@ TABLE_OF_NUMBERS = [
     ("munchausen_q_learning", (ROW, 0, 1.0, 0.0, NEXT, [7.0, 7.0], 1.0, 0.5, -0.5), -0.25),  # clipped
     ("advantage_learning", (ROW, 0, 1.0, 0.5, NEXT, [1.0, 3.0], 0.25), 2.5),  # 1 + 3 - 0.5 - 1
     ("persistent_q_learning", (ROW, 0, 1.0, 0.5, NEXT, 0.25), 2.5),  # 1 + 0.5 * 5 - 1
-    ("persistent_advantage_learning", (ROW, 0, 1.0, 0.5, NEXT, [1.0, 9.0], 0.5), 2.0),  # max(-1, 2)
-    ("persistent_advantage_learning", (ROW, 0, 1.0, 0.5, NEXT, [1.0, 1.0], 0.5), 3.0),  # max(3, 2)
+    ("persistent_advantage_learning", (ROW, 0, 1.0, 0.5, NEXT, [1.0, 9.0], 0.5), 1.0),  # max(-1, 1)
+    ("persistent_advantage_learning", (ROW, 0, 1.0, 0.5, NEXT, [1.0, 1.0], 0.5), 3.0),  # max(3, 1)
     ("averaged_q_learning", (ROW, 0, 1.0, 0.5, ENSEMBLE), 3.0),
     ("maxmin_q_learning", (ROW, 0, 1.0, 0.5, ENSEMBLE), 2.0),
     ("lambda_returns", (*THREE, 0.5), [4.125, 4.5, 6.0]),  # 1 + 0.5 (4 + 2.25), 2 + 0.5 (2 + 3), 3 + 0.5 * 6

@@ -214,20 +214,19 @@ def persistent_advantage_learning(
     q_tm1_target: ArrayLike,
     action_gap_scale: ArrayLike,
 ) -> Array:
-    """TD error of persistent advantage learning: the greater of the targets of the two rules above.
+    """TD error of persistent advantage learning: advantage learning, but no less than repeating the action gives.
 
-    delta = max(delta of ``advantage_learning``, delta of ``persistent_q_learning``); both subtract q_tm1[a_tm1].
-    The paper's operator has alpha 1 in the latter, r_t + discount_t q_t[a_tm1]. Shapes: q_tm1, q_t, q_tm1_target [A],
-    the rest [] -> []. Raises ValueError and TypeError as ``td_error``. Bellemare et al., *Increasing the Action Gap*,
-    2016.
+    delta = max(delta of ``advantage_learning``, r_t + discount_t q_t[a_tm1] - q_tm1[a_tm1]). Shapes: q_tm1, q_t,
+    q_tm1_target [A], the rest [] -> []. The paper's operator; where alpha weighs the second gap too, as in some agents
+    for Atari, it is the maximum of ``advantage_learning`` and ``persistent_q_learning``. Raises ValueError and TypeError
+    as ``td_error``. Bellemare et al., *Increasing the Action Gap*, 2016.
 
     >>> q = jnp.array([1.0, 3.0])
-    >>> float(persistent_advantage_learning(q, jnp.array(0), 1.0, 0.5, q, q, 0.25))  # max(1, 0 + 1.25)
-    1.25
+    >>> float(persistent_advantage_learning(q, jnp.array(0), 1.0, 0.5, q, q, 0.75))  # max(0, 1 + 0.5 - 1)
+    0.5
     """
     of_advantage = advantage_learning(q_tm1, a_tm1, r_t, discount_t, q_t, q_tm1_target, action_gap_scale)
-    persistent = persistent_q_learning(q_tm1, a_tm1, r_t, discount_t, q_t, action_gap_scale)
-    return jnp.maximum(of_advantage, persistent)
+    return jnp.maximum(of_advantage, sarsa(q_tm1, a_tm1, r_t, discount_t, q_t, a_tm1))
 
 
 def averaged_q_learning(
