@@ -17,7 +17,7 @@ LAYERS = [
     ["bench.contest", "bench.report", "bench.memory", "bench.affinity", "bench"],
     ["settings", "axes", "table_parts"],
     ["worlds", "requests"],
-    ["prng", "elementary", "rules.indexing", "rules.shapes", "policies", "presets"],
+    ["prng", "elementary", "rules.indexing", "rules.shapes", "rules.weighting", "policies", "presets"],
     ["rules.values", "rules.tables", "rules.target_networks", "rules.categorical", "rules.quantile", "schedules"],
     ["rules.returns", "rules.one_step"],
     ["rules.rescaling"],

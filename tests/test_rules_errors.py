@@ -148,9 +148,55 @@ def test_an_action_out_of_range_is_no_action_where_rlax_would_take_the_nearest(a
 
 
 @pytest.mark.parametrize("cells", [(3, 2), (600, 2)], ids=["dense", "scattered"])
-@pytest.mark.parametrize(("state", "action"), [(-1, 0), (-1, 1), (1, -1), (1, 2), (0, 3), (10**6, 0)])
+@pytest.mark.parametrize(("state", "action"), [(-1, 0), (-1, 1), (1, -1), (1, 2), (0, 3), (10**6, 0), (2**31 - 1, 1)])
 def test_a_cell_outside_a_table_changes_nothing(cells, state, action):
     table = jnp.arange(1.0, 1 + np.prod(cells)).reshape(cells)
     np.testing.assert_array_equal(rules.update_table(table, state, action, 9.0), table)
     for trace in (rules.accumulating_trace, rules.replacing_trace):
         np.testing.assert_array_equal(trace(table, state, action, 0.5), 0.5 * table)
+
+
+@pytest.mark.parametrize("x64", [False, True])
+@pytest.mark.parametrize("rows", [3, 600], ids=["dense", "scattered"])
+@pytest.mark.parametrize("dtype", ["int8", "uint8", "int32", "bfloat16", "float16", "float32"])
+def test_a_table_keeps_its_dtype_and_a_scan_can_carry_it(dtype, rows, x64):
+    with jax.enable_x64(x64):
+        table, one = jnp.zeros((rows, 2), dtype), jnp.ones((), dtype)
+
+        def visit(table, state):
+            return rules.update_table(table, state, 1, one), None
+
+        counted = jax.lax.scan(visit, table, jnp.array([2, 0, 2]))[0]
+        assert counted.dtype == dtype
+        assert (counted[0, 1], counted[2, 1], jnp.sum(counted)) == (1, 2, 3)
+        if jnp.issubdtype(dtype, jnp.floating):
+            decay, alpha = jnp.array(0.5), jnp.array(0.25)
+            for made in (
+                rules.update_table(table, 1, 1, decay),
+                rules.accumulating_trace(table, 1, 1, decay),
+                rules.replacing_trace(table, 1, 1, decay),
+                rules.dutch_trace(table, 1, 1, decay, alpha),
+            ):
+                assert made.dtype == dtype
+
+
+def test_a_table_of_whole_numbers_takes_no_fractions_and_is_no_trace():
+    counts = jnp.zeros((2, 2), int)
+    with pytest.raises(TypeError, match="amount: dtype float32 is not allowed: an integer, as the table's"):
+        rules.update_table(counts, 0, 0, 0.5)
+    with pytest.raises(TypeError, match="trace: dtype int32 is not allowed: a floating-point one"):
+        rules.accumulating_trace(counts, 0, 0, 0.5)
+
+
+@pytest.mark.parametrize("dtype", ["int8", "uint8", "int16", "uint16", "int32", "uint32"])
+def test_indices_of_few_bits_reach_every_cell(dtype):
+    row, table = jnp.arange(1.0, 301.0), jnp.zeros((300, 300))
+    for index in (5, 100, 127, 200, 255, 299):
+        if index <= jnp.iinfo(dtype).max:
+            at = jnp.array(index, dtype)
+            assert rules.action_value(row, at) == index + 1
+            assert jax.vmap(rules.action_value)(row[None], at[None]) == index + 1
+            for made in (rules.update_table(table, at, at, 1.0), rules.accumulating_trace(table, at, at, 0.5)):
+                assert made[index, index] == jnp.sum(made) == 1
+            narrow = rules.replacing_trace(table[:1], 0, at, 0.5)
+            assert narrow[0, index] == jnp.sum(narrow) == 1

@@ -262,7 +262,8 @@ def test_traces_end_at_a_termination_through_which_the_agent_bootstraps(target, 
 
 @pytest.mark.parametrize(
     ("target", "kind", "offline"),
-    [("greedy", "accumulating", False), ("expected", "replacing", False), ("sarsa", "accumulating", True)],
+    [("greedy", "accumulating", False), ("expected", "replacing", False), ("sarsa", "accumulating", True)]
+    + [(target, "dutch", False) for target in TARGETS],
 )
 def test_step_sizes_by_visits_are_those_of_each_cell(target, kind, offline):
     by = {"alpha_min": 0.1, "alpha_max": 0.8, "visit_power": 0.7}

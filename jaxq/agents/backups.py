@@ -20,8 +20,8 @@ from jaxq.types import Array, PyTree
 class Table(NamedTuple):
     """Action values ``values`` [S, A], and how often each was updated, ``counts`` [S, A] int32, where that matters.
 
-    ``step_sizes`` [S, A] are those of the counts, where a step moves all cells: to work them out anew each time is a
-    power per cell.
+    ``step_sizes`` [S, A] are those of the counts, where a step moves all cells, each by its own: to work them out anew
+    each time is a power per cell.
     """
 
     values: Array
@@ -167,23 +167,23 @@ def traced(kind: str, trace_decay: Array, gamma: Array, *, watkins: bool, offlin
         dtype = values.dtype
         weight = jnp.ones((), dtype) if visit.weight is None else visit.weight.astype(dtype)
         decay = gamma * trace_decay * (visit.greedy_tm1 if watkins else 1)
-        if table.counts is None or table.step_sizes is None:
-            counts, alphas = None, None
+        counts, alphas = None, None
+        if table.counts is None:
             alpha = alpha_tm1 = step_size(None)
         else:
             counts = _counted(table.counts, row, action, weight)
-            alpha_tm1 = step_size(counts[row, action])
-            alpha = alphas = table.step_sizes.at[row, action].set(alpha_tm1.astype(dtype))
-        if dutch:
-            taken = alpha_tm1
-            if table.counts is not None:  # the visits before keep the step size that they were made with
-                shrinks = step_size(table.counts[row, action]) / jnp.where(alpha_tm1 > 0, alpha_tm1, 1)
-                taken = 1 - (1 - alpha_tm1) * shrinks
-            trace = rules.dutch_trace(memory.trace, row, action, decay, taken)
+            alpha = alpha_tm1 = step_size(counts[row, action])
+            if table.step_sizes is not None:
+                alpha = alphas = table.step_sizes.at[row, action].set(alpha_tm1.astype(dtype))
+        if dutch and counts is not None:  # visits keep the step size that they were made with: it is in the trace
+            faded = memory.trace * decay
+            trace = rules.update_table(faded, row, action, alpha_tm1 * (1 - faded[row, action]))
+            alpha = jnp.ones((), dtype)
+        elif dutch:
+            trace = rules.dutch_trace(memory.trace, row, action, decay, alpha)
         else:
             leave = rules.accumulating_trace if kind == "accumulating" else rules.replacing_trace
             trace = leave(memory.trace, row, action, decay)
-        trace = trace.astype(dtype)
         delta = rules.td_error(values[row], action, rules.td_target(visit.r_t, visit.discount_t, visit.v_t))
         delta = delta.astype(dtype) * weight
         stays = (1 - visit.cut_t.astype(dtype)) * weight
@@ -224,5 +224,5 @@ def _move(
 
 
 def _counted(counts: Array, row: Array, action: Array, weight: Array) -> Array:
-    """The counts with one more of a cell; a sum of them has more bits where JAX has 64."""
-    return rules.update_table(counts, row, action, weight.astype(counts.dtype)).astype(counts.dtype)
+    """The counts with one more of a cell."""
+    return rules.update_table(counts, row, action, weight.astype(counts.dtype))

@@ -18,6 +18,7 @@ from jaxq import policies, rules, schedules
 from jaxq.agents import backups, model
 from jaxq.agents.backups import Table, Visit
 from jaxq.rules import tables
+from jaxq.rules.indexing import once
 from jaxq.table_parts import unfit
 from jaxq.types import Agent, Array, Clock, Key, Metrics, PyTree, Transition
 
@@ -47,9 +48,9 @@ class TabularState(NamedTuple):
     """The table of action values, [S', A]: a row per state and, in a small table, unused rows after them.
 
     A double learner has two such tables, one after the other. ``counts`` [S', A] are the updates of each cell, where
-    step sizes follow them, and ``step_sizes`` [S', A] these, where traces move all cells. ``trajectories`` is what is
-    remembered of each environment's episode [N]: the transition that waits for its next action, and the backup's
-    memory.
+    step sizes follow them, and ``step_sizes`` [S', A] these, where traces move all cells by them. ``trajectories`` is
+    what is remembered of each environment's episode [N]: the transition that waits for its next action, and the
+    backup's memory.
     """
 
     table: Array
@@ -142,7 +143,7 @@ def tabular(
         return TabularState(
             table=table,
             counts=jnp.zeros(table.shape, jnp.int32) if by_visits else None,
-            step_sizes=jnp.zeros(table.shape, dtype) if by_visits and traces != "none" else None,
+            step_sizes=jnp.zeros(table.shape, dtype) if by_visits and traces not in ("none", "dutch") else None,
             trajectories=jax.tree.map(lambda x: jnp.broadcast_to(x, (num_envs, *x.shape)), one),
             model=model.empty(num_states, num_actions, model_outcomes) if planning_steps else None,
         )
@@ -173,7 +174,7 @@ def tabular(
 
         def value(selector: Array, by: Array) -> Array:
             if a_t is not None:
-                return rules.action_value(by, a_t)
+                return once(by, a_t, num_actions)  # as rules.action_value, a tenth quicker with traces
             if target == "expected":
                 probs = policies.epsilon_greedy_probs(behaviour(values, one.obs_t), exploration(clock))
                 return rules.expected_value(by, probs)

@@ -165,4 +165,6 @@ def retrace_weights(a_t: ArrayLike, pi_t: ArrayLike, mu_t: ArrayLike, lambda_: A
     pi_t, a_t, mu_t, lambda_ = arrays(
         pi_t=(pi_t, "TA"), a_t=(a_t, "T"), mu_t=(mu_t, "T"), lambda_=(lambda_, per_step(lambda_))
     )
-    return lambda_ * jnp.minimum(1, jax.vmap(values.action_value)(pi_t, a_t) / (mu_t + eps))
+    # Where eps is too small for the dtype, an action of no probability under either policy has a weight of 0 yet.
+    behaviour_t = jnp.maximum(mu_t + eps, jnp.finfo(mu_t.dtype).tiny)
+    return lambda_ * jnp.minimum(1, jax.vmap(values.action_value)(pi_t, a_t) / behaviour_t)

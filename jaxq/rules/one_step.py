@@ -11,20 +11,21 @@ import jax.numpy as jnp
 
 from jaxq.rules import values
 from jaxq.rules.shapes import arrays
+from jaxq.rules.weighting import weighted
 from jaxq.types import Array, ArrayLike
 
 
 def td_target(r_t: ArrayLike, discount_t: ArrayLike, v_t: ArrayLike) -> Array:
     """What one transition says that its action was worth.
 
-    G = r_t + discount_t v_t. Shapes: all [] -> []. Raises ValueError for other shapes. Sutton and Barto, *Reinforcement
-    Learning*, 2018, equation 6.2.
+    G = r_t + discount_t v_t, and r_t behind a termination, be v_t infinite. Shapes: all [] -> []. Raises ValueError for
+    other shapes. Sutton and Barto, *Reinforcement Learning*, 2018, equation 6.2.
 
     >>> float(td_target(1.0, 0.5, jnp.array(4.0)))
     3.0
     """
     r_t, discount_t, v_t = arrays(r_t=(r_t, ""), discount_t=(discount_t, ""), v_t=(v_t, ""))
-    return r_t + discount_t * v_t
+    return r_t + weighted(discount_t, v_t)
 
 
 def td_error(q_tm1: ArrayLike, a_tm1: ArrayLike, target_tm1: ArrayLike) -> Array:
@@ -201,7 +202,8 @@ def persistent_q_learning(
     """
     q_tm1, q_t = arrays(q_tm1=(q_tm1, "A"), q_t=(q_t, "A"))
     a_tm1, action_gap_scale = arrays(a_tm1=(a_tm1, ""), action_gap_scale=(action_gap_scale, ""))
-    v_t = (1 - action_gap_scale) * values.greedy_value(q_t) + action_gap_scale * values.action_value(q_t, a_tm1)
+    greedy, repeated = values.greedy_value(q_t), values.action_value(q_t, a_tm1)
+    v_t = weighted(1 - action_gap_scale, greedy) + weighted(action_gap_scale, repeated)
     return td_error(q_tm1, a_tm1, td_target(r_t, discount_t, v_t))
 
 
@@ -218,8 +220,8 @@ def persistent_advantage_learning(
 
     delta = max(delta of ``advantage_learning``, r_t + discount_t q_t[a_tm1] - q_tm1[a_tm1]). Shapes: q_tm1, q_t,
     q_tm1_target [A], the rest [] -> []. The paper's operator; where alpha weighs the second gap too, as in some agents
-    for Atari, it is the maximum of ``advantage_learning`` and ``persistent_q_learning``. Raises ValueError and TypeError
-    as ``td_error``. Bellemare et al., *Increasing the Action Gap*, 2016.
+    for Atari, it is the maximum of ``advantage_learning`` and ``persistent_q_learning``. Raises ValueError and
+    TypeError as ``td_error``. Bellemare et al., *Increasing the Action Gap*, 2016.
 
     >>> q = jnp.array([1.0, 3.0])
     >>> float(persistent_advantage_learning(q, jnp.array(0), 1.0, 0.5, q, q, 0.75))  # max(0, 1 + 0.5 - 1)

@@ -27,7 +27,7 @@ def quantile_midpoints(count: int) -> Array:
     [0.25, 0.75]
     """
     count = whole("count", count)
-    return (jnp.arange(count) + 0.5) / count
+    return (jnp.arange(count, dtype=float) + 0.5) / count
 
 
 def quantile_values(dist_q: ArrayLike) -> Array:
@@ -63,10 +63,10 @@ def quantile_regression_loss(
     size = jnp.abs(error)
     near = jnp.minimum(size, huber_param)
     distance = jnp.where(huber_param > 0, near * (size - 0.5 * near), size)
-    # Two sums and one weight each, not a weight for every pair: a third of the time.
-    above = jnp.sum(jnp.where(error < 0, 0, distance), axis=1)
-    below = jnp.sum(jnp.where(error < 0, distance, 0), axis=1)
-    return jnp.sum(tau_src * above + (1 - tau_src) * below) / dist_target.shape[0]
+    # Two means and one weight each, not a weight for every pair: a third of the time.
+    above = jnp.mean(jnp.where(error < 0, 0, distance), axis=1)
+    below = jnp.mean(jnp.where(error < 0, distance, 0), axis=1)
+    return jnp.sum(tau_src * above + (1 - tau_src) * below)
 
 
 def quantile_target(r_t: ArrayLike, discount_t: ArrayLike, dist_q_t_selector: ArrayLike, dist_q_t: ArrayLike) -> Array:

@@ -12,7 +12,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxq.rules import values
+from jaxq.rules.indexing import taken
 from jaxq.rules.shapes import arrays, per_step, whole
+from jaxq.rules.weighting import weighted
 from jaxq.types import Array, ArrayLike
 
 #: Steps of an n-step return that are one pass over the trajectory: more of them compile longer and are no faster.
@@ -36,7 +38,7 @@ def lambda_returns(
     r_t, discount_t, v_t = arrays(r_t=(r_t, "T"), discount_t=(discount_t, "T"), v_t=(v_t, "T"))
     over = _over(discount_t, cut_t)
     lambda_ = _weights(lambda_, "lambda_", discount_t, over)
-    return _returns(r_t, discount_t, (1 - lambda_) * v_t, lambda_, None if cut_t is None else over)
+    return _returns(r_t, discount_t, weighted(1 - lambda_, v_t), lambda_, None if cut_t is None else over)
 
 
 def n_step_bootstrapped_returns(
@@ -63,12 +65,15 @@ def n_step_bootstrapped_returns(
     over = _over(discount_t, cut_t)
     lambda_t = _weights(lambda_t, "lambda_t", discount_t, over)
 
+    steps, rest_t = n - 1, weighted(1 - lambda_t, v_t)
+    if n >= r_t.shape[0]:  # a return of every step to the end
+        return _returns(r_t, discount_t, rest_t, lambda_t, None if cut_t is None else over)
+
     def longer(_: Array, shorter: Array) -> Array:
         following = jnp.where(over, 0, jnp.concatenate([shorter[1:], shorter[-1:]]))
-        return r_t + discount_t * ((1 - lambda_t) * v_t + lambda_t * following)
+        return r_t + weighted(discount_t, rest_t + weighted(lambda_t, following))
 
-    one_step = (r_t + discount_t * v_t).astype(jnp.result_type(r_t, discount_t, v_t, lambda_t))
-    steps = min(n, r_t.shape[0]) - 1
+    one_step = (r_t + weighted(discount_t, v_t)).astype(jnp.result_type(r_t, discount_t, v_t, lambda_t))
     return jax.lax.fori_loop(0, steps, longer, one_step, unroll=max(1, min(steps, UNROLLED)))
 
 
@@ -97,10 +102,10 @@ def off_policy_returns(
     q_t, a_t, r_t, discount_t, pi_t = arrays(
         q_t=(q_t, "TA"), a_t=(a_t, "T"), r_t=(r_t, "T"), discount_t=(discount_t, "T"), pi_t=(pi_t, "TA")
     )
-    expected, taken = jax.vmap(values.expected_value)(q_t, pi_t), jax.vmap(values.action_value)(q_t, a_t)
+    expected, chosen = jax.vmap(values.expected_value)(q_t, pi_t), jax.vmap(values.action_value)(q_t, a_t)
     over = _over(discount_t, cut_t)
     c_t = _weights(c_t, "c_t", discount_t, over)
-    rest_t = expected - c_t * jnp.where(over, 0, taken)
+    rest_t = expected - weighted(c_t, chosen)
     return _returns(r_t, discount_t, rest_t, c_t, None if cut_t is None else over)
 
 
@@ -115,7 +120,7 @@ def watkins_lambda(q_t: ArrayLike, a_t: ArrayLike, lambda_: ArrayLike) -> Array:
     [0.0, 0.5]
     """
     q_t, a_t, lambda_ = arrays(q_t=(q_t, "TA"), a_t=(a_t, "T"), lambda_=(lambda_, per_step(lambda_)))
-    greedy = jax.vmap(values.action_value)(q_t, a_t) == jnp.max(q_t, axis=-1)
+    greedy = jax.vmap(taken)(q_t == jnp.max(q_t, axis=-1, keepdims=True), a_t)
     return jnp.where(greedy, lambda_, jnp.zeros((), jnp.result_type(q_t, lambda_)))
 
 
@@ -138,15 +143,15 @@ def _weights(weight: ArrayLike, name: str, discount_t: Array, over: Array) -> Ar
 def _returns(r_t: Array, discount_t: Array, rest_t: Array, weight_t: Array, over: Array | None) -> Array:
     """G_t = r_t + discount_t (rest_t + weight_t G_{t+1}), from the last step to the first; without cuts no ``over``."""
     dtype = jnp.result_type(r_t, discount_t, rest_t, weight_t)
-    known_t, share_t = (r_t + discount_t * rest_t).astype(dtype), (discount_t * weight_t).astype(dtype)
+    known_t, share_t = (r_t + weighted(discount_t, rest_t)).astype(dtype), (discount_t * weight_t).astype(dtype)
     return jax.lax.scan(_back, jnp.zeros((), dtype), (known_t, share_t, over), reverse=True)[1]
 
 
 def _back(following: Array, step: tuple[Array, Array, Array | None]) -> tuple[Array, Array]:
     """One step back in time; a function of the module, so that a scan outside jit is compiled once.
 
-    What follows in another episode is replaced, not only weighted with 0: it may be infinite.
+    What follows in another episode is replaced, not only weighted with 0: it may be no number.
     """
     known_t, share_t, over = step
-    value = known_t + share_t * (following if over is None else jnp.where(over, 0, following))
+    value = known_t + weighted(share_t, following if over is None else jnp.where(over, 0, following))
     return value, value

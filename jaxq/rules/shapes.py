@@ -20,13 +20,15 @@ from jaxq.types import Array, ArrayLike
 
 #: Arguments that count something, so that another dtype is an error.
 INDICES = ("a_tm1", "a_t", "state", "action")
+#: Arguments that may be whole numbers and stay so; others are made floating-point ones, as sums of bytes overflow.
+WHOLE = (*INDICES, "table", "amount", "trace", "updates", "period", "cut_t")
 
 
 def arrays(**arguments: tuple[ArrayLike, str]) -> tuple[Array, ...]:
     """The arguments as JAX's arrays, where each has the axes that its letters name: "" for a scalar, "TA" for [T, A].
 
-    A letter is one length in all arguments; actions and states must be integers. Raises ValueError for a shape and
-    TypeError for a dtype, in one line that names the argument.
+    A letter is one length in all arguments; actions and states must be integers, values become floating-point. Raises
+    ValueError for a shape and TypeError for a dtype, in one line that names the argument.
 
     >>> arrays(q_tm1=(jnp.zeros(3), "A"), q_t=(jnp.zeros(2), "A"))
     Traceback (most recent call last):
@@ -48,6 +50,8 @@ def arrays(**arguments: tuple[ArrayLike, str]) -> tuple[Array, ...]:
                 )
         if name in INDICES and not jnp.issubdtype(value.dtype, jnp.integer):
             raise TypeError(f"{name}: dtype {value.dtype} is not allowed: an integer")
+        if name not in WHOLE and not jnp.issubdtype(value.dtype, jnp.inexact):
+            value = value * 1.0  # weak, so that a reward of 1 widens no bfloat16
         found.append(value)
     return tuple(found)
 

@@ -1,7 +1,7 @@
 """Updates of a table of action values, and eligibility traces of the same shape.
 
 A cell outside the table is not visited: nothing is added, and traces fade alone. States and actions are integers, or it
-is a TypeError.
+is a TypeError. A table keeps its dtype, so that a scan can carry it.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
+from jaxq.rules.indexing import once
 from jaxq.rules.shapes import arrays
 from jaxq.types import Array, ArrayLike
 
@@ -20,8 +21,9 @@ DENSE_CELLS = 512
 def update_table(table: ArrayLike, state: ArrayLike, action: ArrayLike, amount: ArrayLike) -> Array:
     """The table with ``amount`` added to one cell.
 
-    q[state, action] += amount. Shapes: table [S, A], the rest [] -> [S, A]. Raises ValueError for other shapes. Sutton
-    and Barto, 2018, section 6.1.
+    q[state, action] += amount. Shapes: table [S, A], the rest [] -> [S, A]. Raises ValueError for other shapes, and
+    TypeError for an amount that is no whole number where the table has these alone. Sutton and Barto, 2018, section
+    6.1.
 
     >>> update_table(jnp.zeros((2, 2)), jnp.array(1), jnp.array(0), 3.0).tolist()
     [[0.0, 0.0], [3.0, 0.0]]
@@ -29,13 +31,14 @@ def update_table(table: ArrayLike, state: ArrayLike, action: ArrayLike, amount: 
     table, state, action, amount = arrays(
         table=(table, "SA"), state=(state, ""), action=(action, ""), amount=(amount, "")
     )
+    if jnp.issubdtype(table.dtype, jnp.integer) and not jnp.issubdtype(amount.dtype, jnp.integer):
+        raise TypeError(f"amount: dtype {amount.dtype} is not allowed: an integer, as the table's")
+    amount = amount.astype(table.dtype)
     if table.size > DENSE_CELLS:
         return table.at[state, action].add(amount, mode="drop", wrap_negative_indices=False)
-    # Masked sums of one term: XLA fuses no reduction into a loop that reads it again and again. As plain arithmetic
-    # cell and amount, with all that leads to them, would be computed within the loop over the table, lane by lane.
-    actions = jnp.arange(table.shape[1])
-    cell = jnp.sum(jnp.where(actions == action, jnp.asarray(state, jnp.int32) * table.shape[1] + actions, 0))
-    amount = jnp.sum(jnp.where(actions == action, amount.astype(jnp.result_type(table, amount)), 0))
+    columns = table.shape[1]
+    cell = once(_row(state, table) * columns + _wide(action), action, columns)
+    amount = once(amount, action, columns)
     flat = table.reshape(-1)
     # An array of numbers, not arange: XLA counts an iota in 64 bits, half as many at a time.
     return (flat + jnp.where(np.arange(flat.size, dtype=np.int32) == cell, amount, 0)).reshape(table.shape)
@@ -86,9 +89,22 @@ def _visit(trace: ArrayLike, state: ArrayLike, action: ArrayLike, decay_t: Array
     trace, state, action, decay_t = arrays(
         trace=(trace, "SA"), state=(state, ""), action=(action, ""), decay_t=(decay_t, "")
     )
+    if not jnp.issubdtype(trace.dtype, jnp.floating):
+        raise TypeError(f"trace: dtype {trace.dtype} is not allowed: a floating-point one")
     faded = trace * decay_t
     rows, columns = faded.shape
     cells = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    action = _wide(action)
     inside = (action >= 0) & (action < columns)  # an action outside is not one of the next state
-    cell = jnp.where(inside, jnp.asarray(state, jnp.int32) * columns + action, -1)
-    return jnp.where(cells == cell, kept * faded + 1, faded)
+    cell = jnp.where(inside, _row(state, trace) * columns + action, -1)
+    return jnp.where(cells == cell, kept * faded + 1, faded).astype(trace.dtype)
+
+
+def _row(state: Array, table: Array) -> Array:
+    """A state whose cells can be counted in 32 bits; one outside the table has none within."""
+    return jnp.clip(_wide(state), -1, table.shape[0]).astype(jnp.int32)
+
+
+def _wide(index: Array) -> Array:
+    """An index of at least 32 bits: fewer may not hold the number of rows or columns that it is compared with."""
+    return index.astype(jnp.promote_types(index.dtype, jnp.int32))

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from jaxq.rules.indexing import taken
 from jaxq.rules.shapes import arrays, whole
+from jaxq.rules.weighting import weighted
 from jaxq.types import Array, ArrayLike, Key
 
 
@@ -56,14 +57,15 @@ def double_value(q_t_value: ArrayLike, q_t_selector: ArrayLike) -> Array:
 def expected_value(q_t: ArrayLike, probs_a_t: ArrayLike) -> Array:
     """Expected value under a policy.
 
-    v_t = sum_a probs_a_t[a] q_t[a]. Shapes: both [A] -> []. Raises ValueError for other shapes. Van Seijen et al., *A
-    Theoretical and Empirical Analysis of Expected Sarsa*, 2009.
+    v_t = sum_a probs_a_t[a] q_t[a]. Shapes: both [A] -> []. An action that is never taken may be masked with -inf.
+    Raises ValueError for other shapes. Van Seijen et al., *A Theoretical and Empirical Analysis of Expected Sarsa*,
+    2009.
 
     >>> float(expected_value(jnp.array([1.0, 3.0]), jnp.array([0.25, 0.75])))
     2.5
     """
     q_t, probs_a_t = arrays(q_t=(q_t, "A"), probs_a_t=(probs_a_t, "A"))
-    return jnp.sum(probs_a_t * q_t)
+    return jnp.sum(weighted(probs_a_t, q_t))
 
 
 def soft_value(q_t: ArrayLike, temperature: ArrayLike) -> Array:
@@ -80,7 +82,9 @@ def soft_value(q_t: ArrayLike, temperature: ArrayLike) -> Array:
     # Differences from the greatest: they overflow at no temperature, and lose no digits where values are far from 0.
     top = jax.lax.stop_gradient(jnp.max(q_t))
     top = jnp.where(jnp.isfinite(top), top, 0)
-    return top + temperature * jax.nn.logsumexp((q_t - top) / temperature)
+    masked = jnp.isneginf(q_t)  # stays so at any temperature, which has no gradient there
+    below = jnp.where(masked, -jnp.inf, (jnp.where(masked, top, q_t) - top) / temperature)
+    return top + temperature * jax.nn.logsumexp(below)
 
 
 def averaged(q_t: ArrayLike) -> Array:
