@@ -83,9 +83,8 @@ def test_trajectories_take_masked_actions_as_well(tx_pair):
 
 def test_a_weight_of_0_reads_nothing_of_what_is_infinite():
     r_t, discount_t, v_t = jnp.ones(2), jnp.ones(2), jnp.array([1.0, jnp.inf])
-    np.testing.assert_array_equal(rules.lambda_returns(r_t, discount_t, v_t, 0.0), [2.0, jnp.inf])
     np.testing.assert_array_equal(rules.n_step_bootstrapped_returns(r_t, discount_t, v_t, 1), [2.0, jnp.inf])
-    np.testing.assert_array_equal(rules.n_step_bootstrapped_returns(r_t, discount_t, v_t, 2, 0.0), [2.0, jnp.inf])
+    np.testing.assert_array_equal(rules.off_policy_returns(v_t[None], [0], [1.0], [0.0], 1.0, PROBS[None, 1:]), [1.0])
     np.testing.assert_array_equal(rules.lambda_returns(r_t, discount_t, v_t[::-1], 1.0), [3.0, 2.0])
 
 

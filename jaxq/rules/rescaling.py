@@ -33,8 +33,8 @@ def signed_hyperbolic(x: ArrayLike, eps: float = 1e-3) -> Array:
     >>> signed_hyperbolic(jnp.array([-3.0, 0.0, 3.0]), eps=0.0).tolist()
     [-1.0, 0.0, 1.0]
     """
-    x, infinite = _finite(x)
-    return jnp.where(infinite == 0, x / (jnp.sqrt(jnp.abs(x) + 1) + 1) + eps * x, infinite)
+    x, infinite, finite = _parted(x)
+    return jnp.where(infinite, x, finite / (jnp.sqrt(jnp.abs(finite) + 1) + 1) + eps * finite)
 
 
 def signed_parabolic(x: ArrayLike, eps: float = 1e-3) -> Array:
@@ -47,17 +47,17 @@ def signed_parabolic(x: ArrayLike, eps: float = 1e-3) -> Array:
     >>> signed_parabolic(jnp.array([-1.0, 0.0, 1.0]), eps=0.0).tolist()
     [-3.0, 0.0, 3.0]
     """
-    x, infinite = _finite(x)
-    u = 2 * x / (jnp.sqrt((1 + 2 * eps) ** 2 + 4 * eps * jnp.abs(x)) + (1 + 2 * eps))
-    return jnp.where(infinite == 0, u * (jnp.abs(u) + 2), infinite)
+    x, infinite, finite = _parted(x)
+    u = 2 * finite / (jnp.sqrt((1 + 2 * eps) ** 2 + 4 * eps * jnp.abs(finite)) + (1 + 2 * eps))
+    return jnp.where(infinite, x, u * (jnp.abs(u) + 2))
 
 
-def _finite(x: ArrayLike) -> tuple[Array, Array]:
-    """Floating-point numbers with 0 for the infinite ones, and these with 0 for the others: a mask stays one."""
+def _parted(x: ArrayLike) -> tuple[Array, Array, Array]:
+    """Floating-point numbers, which are infinite, and the finite ones with 0 for these: a mask of -inf stays one."""
     x = jnp.asarray(x)
     x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
     infinite = jnp.isinf(x)
-    return jnp.where(infinite, 0, x), jnp.where(infinite, x, 0)
+    return x, infinite, jnp.where(infinite, 0, x)
 
 
 def _identity(x: Array) -> Array:

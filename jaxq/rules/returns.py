@@ -69,9 +69,10 @@ def n_step_bootstrapped_returns(
     if n >= r_t.shape[0]:  # a return of every step to the end
         return _returns(r_t, discount_t, rest_t, lambda_t, None if cut_t is None else over)
 
+    known_t, share_t = r_t + weighted(discount_t, rest_t), discount_t * lambda_t
+
     def longer(_: Array, shorter: Array) -> Array:
-        following = jnp.where(over, 0, jnp.concatenate([shorter[1:], shorter[-1:]]))
-        return r_t + weighted(discount_t, rest_t + weighted(lambda_t, following))
+        return known_t + share_t * jnp.where(over, 0, jnp.concatenate([shorter[1:], shorter[-1:]]))
 
     one_step = (r_t + weighted(discount_t, v_t)).astype(jnp.result_type(r_t, discount_t, v_t, lambda_t))
     return jax.lax.fori_loop(0, steps, longer, one_step, unroll=max(1, min(steps, UNROLLED)))
@@ -150,8 +151,8 @@ def _returns(r_t: Array, discount_t: Array, rest_t: Array, weight_t: Array, over
 def _back(following: Array, step: tuple[Array, Array, Array | None]) -> tuple[Array, Array]:
     """One step back in time; a function of the module, so that a scan outside jit is compiled once.
 
-    What follows in another episode is replaced, not only weighted with 0: it may be no number.
+    What follows in another episode is replaced, not only weighted with 0: it may be infinite, or no number.
     """
     known_t, share_t, over = step
-    value = known_t + weighted(share_t, following if over is None else jnp.where(over, 0, following))
+    value = known_t + share_t * (following if over is None else jnp.where(over, 0, following))
     return value, value

@@ -60,6 +60,12 @@ DIFFERENCES = (
         "padding may use any index, and none reads another action's value",
     ),
     (
+        "an infinite value of weight 0: a masked action that is never taken, or all of them behind a termination",
+        "NaN",
+        "nothing",
+        "a masked action need not be given a number first",
+    ),
+    (
         "stop_target_gradients",
         "a flag, by default False for returns; in quantile_regression_loss it stops nothing of the target",
         "no flag: rules with an error stop the gradient; returns and quantile_regression_loss do not",
