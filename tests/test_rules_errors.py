@@ -135,6 +135,14 @@ def test_trees_that_differ_are_an_error():
         rules.polyak_update(online, online, jnp.ones(2))
 
 
+@pytest.mark.parametrize("given", ["x", None, [[1.0], [2.0, 3.0]], {"q": 1.0}])
+def test_what_is_no_array_is_named(given):
+    with pytest.raises(TypeError, match=r"^q_tm1: .* is not allowed: numbers, \[A\]$"):
+        rules.q_learning(given, 0, 1.0, 0.9, [1.0, 2.0])
+    with pytest.raises(TypeError, match=r"^lambda_: .* is not allowed: numbers, \[T?\]$"):
+        rules.lambda_returns([1.0], [0.9], [1.0], given)
+
+
 @pytest.mark.parametrize("action", [-1, 2, 1000])
 def test_an_action_out_of_range_is_no_action_where_rlax_would_take_the_nearest(action):
     action, row = jnp.array(action), jnp.array([3.0, 5.0])

@@ -37,8 +37,11 @@ def arrays(**arguments: tuple[ArrayLike, str]) -> tuple[Array, ...]:
     lengths: dict[str, tuple[int, str]] = {}
     found = []
     for name, (given, letters) in arguments.items():
-        value = jnp.asarray(given)
         allowed = f"[{', '.join(letters)}]"
+        try:
+            value = jnp.asarray(given)
+        except (TypeError, ValueError):
+            raise TypeError(f"{name}: {given!r} is not allowed: numbers, {allowed}") from None
         if value.ndim != len(letters):
             batch = "; a rule sees one transition, jax.vmap adds a batch" if value.ndim > len(letters) else ""
             raise ValueError(f"{name}: shape {value.shape} is not allowed: {allowed}{batch}")
@@ -58,7 +61,7 @@ def arrays(**arguments: tuple[ArrayLike, str]) -> tuple[Array, ...]:
 
 def per_step(value: ArrayLike) -> str:
     """The letters of an argument that is one number, or one for each step: "" or "T"."""
-    return "T" if jnp.asarray(value).ndim else ""
+    return "" if np.isscalar(value) or getattr(value, "ndim", 1) == 0 else "T"
 
 
 def whole(name: str, value: int, most: int | None = None) -> int:
