@@ -21,10 +21,11 @@ from pydantic import create_model
 
 from jaxq import plans, prng, programs, sources
 from jaxq.axes import Range
-from jaxq.experiment import FINISHED, Log
+from jaxq.experiment import Log
 from jaxq.plans import Plan
 from jaxq.programs import Program
 from jaxq.requests import axis, whole
+from jaxq.rounds import FINISHED
 from jaxq.settings import Settings, changed, number, structure
 from jaxq.types import Array, Clock, Experiment, Hypers, Key
 

@@ -95,6 +95,9 @@ class Env:
     ``reset(key) -> state``; ``step(key, state, action) -> (state, Step)``; ``observe(state) -> obs``.
     One environment, one action: the caller vmaps. ``num_states`` is set where observations are the integers
     0 .. num_states - 1. ``deterministic`` says that ``step`` draws nothing from its key, which a wrapper may then use.
+    ``restart(key, state) -> state`` begins the next episode and keeps of the old one's last state what outlives it, as
+    running statistics do; None where nothing does, and ``reset`` is all there is. ``resets`` says that ``step`` begins
+    the next episode itself, which ``auto_reset`` makes it do.
     """
 
     reset: Callable[[Key], PyTree]
@@ -104,6 +107,8 @@ class Env:
     obs_shape: tuple[int, ...]
     num_states: int | None = None
     deterministic: bool = False
+    restart: Callable[[Key, PyTree], PyTree] | None = None
+    resets: bool = False
 
 
 @dataclass(frozen=True)

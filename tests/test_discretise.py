@@ -258,3 +258,17 @@ def test_rows_that_do_not_match_are_an_error():
         discretise(cartpole(), [np.zeros(1)] * 3)
     with pytest.raises(ValueError, match=r"^edges: 1 rows, but an observation has shape \(\)$"):
         discretise(discretise(looking(1), [np.zeros(1)]), [np.zeros(1)])
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ([1.0, 0.0], r"edges: .* in row 1 is not allowed: ascending numbers"),
+        ([np.nan], "in row 1 is not allowed"),
+        (0.5, "edges: 0.5 in row 1 is not allowed"),
+        (np.arange(10_000_000.0), "buckets are too many: at most 2147483647"),
+    ],
+)
+def test_edges_that_are_none_are_refused(row, said):
+    with pytest.raises(ValueError, match=said):
+        discretise(cartpole(), [np.arange(299.0), row, [0.0], [0.0]])

@@ -11,9 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from jaxq.envs import MDP, auto_reset, finite_mdp, policy_evaluation, random_mdp, value_iteration
-from jaxq.envs.mdp import _cumulative, _draw, check_distribution, check_mdp
+from jaxq import envs
+from jaxq.envs import (
+    MDP,
+    auto_reset,
+    finite_mdp,
+    policy_evaluation,
+    random_mdp,
+    stationary_distribution,
+    value_iteration,
+)
+from jaxq.envs.mdp import check_distribution, check_mdp, cumulative, draw
 from jaxq.types import Step
+from jaxq.worlds import FrozenLake, Taxi
 
 
 def some_mdp(seed=0, num_states=6, num_actions=3, **settings):
@@ -229,12 +239,12 @@ def test_an_outcome_of_probability_0_is_never_drawn(count, seed, zeros):
     p = rng.dirichlet(np.full(count, 0.3)) * (rng.random(count) >= zeros)
     p[rng.integers(count)] += 0.1
     p = np.float32(p / p.sum())
-    ends = np.asarray(_cumulative(p))
+    ends = np.asarray(cumulative(p))
     edges = ends[np.isfinite(ends)]
     below_one = np.nextafter(np.float32(1), np.float32(0))
     numbers = np.concatenate([[0, below_one], edges, np.nextafter(edges, np.float32(0)), rng.random(50)])
     numbers = np.clip(np.float32(numbers), 0, below_one)
-    drawn = np.sum(numbers[:, None] >= ends, -1)  # what _draw does with its uniform number
+    drawn = np.sum(numbers[:, None] >= ends, -1)  # what draw does with its uniform number
     assert drawn.max() < count
     assert np.all(p[drawn] > 0)
 
@@ -242,10 +252,10 @@ def test_an_outcome_of_probability_0_is_never_drawn(count, seed, zeros):
 def test_the_last_outcome_of_positive_probability_takes_what_rounding_left():
     p = np.full(11, 0.1, np.float32)
     p[10] = 0
-    assert np.isinf(_cumulative(p)[9:]).all()
+    assert np.isinf(cumulative(p)[9:]).all()
     # Even where the sum is far too small, as where it is traced and cannot be checked.
-    ends = jax.jit(_cumulative)(np.float32([0.0, 0.25, 0.25, 0.0]))
-    draws = jax.vmap(lambda key: _draw(key, ends))(jax.random.split(jax.random.key(0), 400))
+    ends = jax.jit(cumulative)(np.float32([0.0, 0.25, 0.25, 0.0]))
+    draws = jax.vmap(lambda key: draw(key, ends))(jax.random.split(jax.random.key(0), 400))
     np.testing.assert_allclose(np.bincount(draws, minlength=4) / 400, [0, 0.25, 0.75, 0], atol=0.06)
 
 
@@ -497,7 +507,7 @@ def test_shapes_are_checked_of_tracers_too():
 
 @pytest.mark.parametrize("limit", [0, -1, 2.5, True, np.ones(2, int)])
 def test_a_limit_that_is_no_number_of_steps_is_an_error(limit):
-    with pytest.raises(ValueError, match=r"^max_episode_steps: .* is not allowed: None or a whole number, at least 1$"):
+    with pytest.raises(ValueError, match=r"^max_episode_steps: .* is not allowed: a whole number, at least 1$"):
         env_of(GOOD, max_episode_steps=limit)
 
 
@@ -537,3 +547,55 @@ def test_other_numbers_that_are_refused():
 def test_counts_of_a_random_mdp_that_are_refused(arguments, settings, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
         random_mdp(np.random.default_rng(0), *arguments, **settings)
+
+
+@pytest.mark.parametrize("size", [5, 60])
+def test_two_islands_have_no_distribution_of_their_own_until_a_start_says_which(size):
+    rng = np.random.default_rng(size)
+    for _ in range(10):
+        transition = np.zeros((2 * size, 1, 2 * size), np.float32)
+        for island in (slice(0, size), slice(size, 2 * size)):
+            transition[island, 0, island] = rng.dirichlet(np.ones(size), size)
+        policy = np.ones((2 * size, 1))
+        assert np.all(np.isnan(stationary_distribution(transition, policy)))
+        start, terminal = np.eye(2 * size)[0], np.zeros(2 * size, bool)
+        d = np.asarray(stationary_distribution(transition, policy, terminal, start))
+        assert np.all(d[size:] == 0)
+        alone = stationary_distribution(transition[:size, :, :size], policy[:size])
+        np.testing.assert_allclose(d[:size], alone, atol=1e-6)
+
+
+def test_a_policy_that_stays_acts_where_it_stays():
+    mdp = envs.exact(FrozenLake(is_slippery=False))
+    left = np.eye(4)[np.zeros(16, int)]
+    d = stationary_distribution(mdp.transition, left, mdp.terminal, mdp.start)
+    np.testing.assert_allclose(d, np.eye(16)[0], atol=1e-7)
+
+
+def test_a_large_world_in_float32_sums_to_1_and_no_episode_begins_at_its_end():
+    mdp = envs.exact(Taxi(is_rainy=True))
+    d = stationary_distribution(mdp.transition, np.full((500, 6), 1 / 6), mdp.terminal, mdp.start)
+    assert float(jnp.sum(d)) == pytest.approx(1, abs=1e-6)
+    with pytest.raises(ValueError, match=r"^start: 0\.5 at \[1\], a terminal state, is not allowed: 0"):
+        stationary_distribution([[[0.0, 1.0]], [[0.0, 1.0]]], np.ones((2, 1)), np.array([False, True]), [0.5, 0.5])
+
+
+def test_values_of_any_scale_are_of_one_accuracy():
+    mdp = random_mdp(np.random.default_rng(0), 12, 3)
+    plain = value_iteration(mdp.transition, mdp.reward, 0.9, mdp.terminal)
+    for scale in (2.0**-30, 2.0**20):
+        scaled = value_iteration(mdp.transition, np.float32(scale) * mdp.reward, 0.9, mdp.terminal)
+        np.testing.assert_array_equal(scaled, scale * plain)
+    one = value_iteration(np.ones((1, 1, 1)), np.full((1, 1), 1e-6), 0.99)
+    assert float(one[0, 0]) == pytest.approx(1e-4, rel=1e-3)
+
+
+def test_a_reward_forty_steps_away_shows_the_way():
+    size = 40
+    transition, reward = np.zeros((size, 2, size)), np.zeros((size, 2))
+    for s in range(size):
+        transition[s, 0, max(0, s - 1)] = transition[s, 1, min(size - 1, s + 1)] = 1
+    reward[size - 2, 1] = 1
+    q = np.asarray(value_iteration(transition, reward, 0.5, np.arange(size) == size - 1))
+    assert np.all(q[:-1].argmax(1) == 1)
+    np.testing.assert_allclose(q[:-1, 1], 0.5 ** np.arange(size - 2, -1, -1.0), rtol=1e-6)

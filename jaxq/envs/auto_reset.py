@@ -15,14 +15,28 @@ def auto_reset(env: Env) -> Env:
     """``env`` with the state after an episode's end replaced by a fresh one.
 
     The Step keeps the TRUE successor of the action; the state returned beside it, and ``observe`` of it, belong to the
-    new episode where ``terminated | truncated``.
+    new episode where ``terminated | truncated``. What outlives an episode, as running statistics, is kept. It goes
+    around all other wrappers: one around it would not see that an episode ended. Raises ValueError for an environment
+    that resets already.
     """
+    check_ends(env, "auto_reset")
 
     def step(key: Key, state: Any, action: Array) -> tuple[Any, Step]:
         step_key, reset_key = (key, key) if env.deterministic else jax.random.split(key)
         after, happened = env.step(step_key, state, action)
         over = happened.terminated | happened.truncated
-        fresh = env.reset(reset_key)
+        fresh = next_episode(env, reset_key, after)
         return jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, after), happened
 
-    return replace(env, step=step, deterministic=False)
+    return replace(env, step=step, deterministic=False, resets=True)
+
+
+def check_ends(env: Env, wrapper: str) -> None:
+    """Raises ValueError for an environment whose episodes begin anew by themselves, which a wrapper would not see."""
+    if env.resets:
+        raise ValueError(f"env: one that resets by itself is not allowed: auto_reset goes around {wrapper}")
+
+
+def next_episode(env: Env, key: Key, state: Any) -> Any:
+    """The state in which the episode after that of ``state`` begins; the key is consumed."""
+    return env.reset(key) if env.restart is None else env.restart(key, state)

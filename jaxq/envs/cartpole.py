@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 
 from jaxq.elementary import sin_cos
+from jaxq.envs.precision import float_dtype
 from jaxq.types import Array, Env, Key, Step
 from jaxq.worlds import CartPole
 
@@ -77,8 +78,8 @@ def cartpole(
     """
     if integrator not in INTEGRATORS:
         raise ValueError(f"integrator: {integrator!r} is not one of {', '.join(INTEGRATORS)}")
-    dtype = _float_dtype("dtype", dtype)
-    obs_dtype = _float_dtype("obs_dtype", obs_dtype)
+    dtype = float_dtype("dtype", dtype)
+    obs_dtype = float_dtype("obs_dtype", obs_dtype)
     p = params._replace(**{name: jnp.asarray(getattr(params, name), dtype) for name in _REALS})
     # Everything over the total mass, so that a step divides once.
     inverse_mass = 1 / (p.masspole + p.masscart)
@@ -124,12 +125,3 @@ def cartpole(
         return after, Step(observe(after), reward.astype(obs_dtype), terminated, truncated)
 
     return Env(reset, step, observe, num_actions=2, obs_shape=(4,), deterministic=True)
-
-
-def _float_dtype(name: str, dtype: DTypeLike) -> jnp.dtype:
-    dtype = jnp.dtype(dtype)
-    if dtype not in (jnp.float32, jnp.float64):
-        raise ValueError(f"{name}: {dtype} is not one of float32, float64")
-    if dtype == jnp.float64 and not jax.config.read("jax_enable_x64"):
-        raise ValueError(f'{name}: float64 needs jax.config.update("jax_enable_x64", True) first')
-    return dtype

@@ -9,6 +9,7 @@ the multiplication with the subtraction.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxq.envs.mdp import known
 from jaxq.types import Array, Env, Key, Step
 
 Bound = float | np.float32
@@ -26,9 +28,15 @@ def discretise(env: Env, edges: Sequence[Array]) -> Env:
 
     ``edges[i]`` are the ascending edges of coordinate i, shape [buckets_i - 1], which may be traced:
     bucket_i = sum_k (obs[i] >= edges[i][k]). Infinities fall into the outer buckets; NaN, which reaches no edge, falls
-    into bucket 0. Raises ValueError when the number of rows is not the number of coordinates.
+    into bucket 0. Raises ValueError when the number of rows is not the number of coordinates, for rows that are not
+    ascending numbers, where they are known, and for more buckets than an int32 can name.
     """
+    for i, row in enumerate(edges):
+        if np.ndim(row) != 1 or (known(row) and not _ascends(np.asarray(row))):
+            raise ValueError(f"edges: {row!r} in row {i} is not allowed: ascending numbers")
     counts = [np.shape(row)[0] + 1 for row in edges]
+    if math.prod(counts) > np.iinfo(np.int32).max:
+        raise ValueError(f"edges: {math.prod(counts)} buckets are too many: at most {np.iinfo(np.int32).max}")
     if env.obs_shape != (len(counts),):
         raise ValueError(f"edges: {len(counts)} rows, but an observation has shape {env.obs_shape}")
 
@@ -48,6 +56,10 @@ def discretise(env: Env, edges: Sequence[Array]) -> Env:
         return index(env.observe(state))
 
     return replace(env, step=step, observe=observe, obs_shape=(), num_states=int(np.prod(counts)))
+
+
+def _ascends(row: np.ndarray) -> bool:
+    return bool(np.all(row[1:] >= row[:-1]) and not np.any(np.isnan(row)))
 
 
 def tutorial_bucket(value: np.ndarray, low: Bound, high: Bound, count: int) -> np.ndarray:

@@ -63,20 +63,21 @@ def finite_mdp(
     """
     num_states, num_actions = check_mdp(transition, reward, terminal)
     check_distribution("start", start, (num_states,))
-    _check_start(start, terminal)
-    _check_steps(max_episode_steps)
+    check_start(start, terminal)
+    if max_episode_steps is not None:
+        check_steps(max_episode_steps)
     rewards = jnp.asarray(reward, reward_dtype)
-    successors, starts = _cumulative(transition), _cumulative(start)
+    successors, starts = cumulative(transition), cumulative(start)
     ends = None if terminal is None else jnp.asarray(terminal)
 
     def reset(key: Key) -> MDPState:
-        return MDPState(_draw(key, starts), jnp.zeros((), jnp.int32))
+        return MDPState(draw(key, starts), jnp.zeros((), jnp.int32))
 
     def observe(state: MDPState) -> Array:
         return state.s
 
     def step(key: Key, state: MDPState, action: Array) -> tuple[MDPState, Step]:
-        after = MDPState(_draw(key, successors[state.s, action]), state.t + 1)
+        after = MDPState(draw(key, successors[state.s, action]), state.t + 1)
         earned = rewards[state.s, action] if rewards.ndim == 2 else rewards[state.s, action, after.s]
         terminated = jnp.zeros((), bool) if ends is None else ends[after.s]
         truncated = jnp.zeros((), bool) if max_episode_steps is None else after.t >= jnp.asarray(max_episode_steps)
@@ -176,7 +177,7 @@ def in_float(given: ArrayLike) -> Array:
     return array.astype(jnp.promote_types(array.dtype, jnp.float32))
 
 
-def _cumulative(probabilities: ArrayLike) -> Array:
+def cumulative(probabilities: ArrayLike) -> Array:
     """Upper ends of the intervals of [0, 1) that belong to each outcome, [..., S] -> [..., S].
 
     An outcome of probability 0 has an interval of no length, whatever the sums are rounded to and in whatever order
@@ -188,10 +189,17 @@ def _cumulative(probabilities: ArrayLike) -> Array:
     return jnp.where(jnp.arange(p.shape[-1]) >= last[..., None], jnp.inf, ends)
 
 
-def _draw(key: Key, ends: Array) -> Array:
+def draw(key: Key, ends: Array) -> Array:
     """The outcome into whose interval one uniform number falls, [S] -> [] int32."""
     u = jax.random.uniform(key, (), ends.dtype)
     return jnp.sum(u >= ends, dtype=jnp.int32)
+
+
+def check_steps(steps: ArrayLike, name: str = "max_episode_steps") -> None:
+    """Raises ValueError for steps after which no episode can be truncated; ``name`` is what the caller calls them."""
+    dtype = getattr(steps, "dtype", None) or np.asarray(steps).dtype
+    if np.shape(steps) != () or not jnp.issubdtype(dtype, jnp.integer) or (known(steps) and int(np.asarray(steps)) < 1):
+        raise ValueError(f"{name}: {steps!r} is not allowed: a whole number, at least 1")
 
 
 def _few(rng: np.random.Generator, count: int, branching: int, wanted: int | None) -> np.ndarray:
@@ -204,7 +212,8 @@ def _few(rng: np.random.Generator, count: int, branching: int, wanted: int | Non
     return probabilities
 
 
-def _check_start(start: ArrayLike, terminal: ArrayLike | None) -> None:
+def check_start(start: ArrayLike, terminal: ArrayLike | None) -> None:
+    """Raises ValueError where an episode would begin in a terminal state."""
     if terminal is None or not (known(start) and known(terminal)):
         return
     begins = np.asarray(start)
@@ -212,15 +221,6 @@ def _check_start(start: ArrayLike, terminal: ArrayLike | None) -> None:
     if np.any(wrong):
         (where,) = _first_place(wrong)
         raise ValueError(f"start: {begins[where]} at [{where}], a terminal state, is not allowed: 0")
-
-
-def _check_steps(steps: ArrayLike | None) -> None:
-    if steps is None:
-        return
-    if np.shape(steps) != () or not jnp.issubdtype(jnp.result_type(steps), jnp.integer):
-        raise ValueError(f"max_episode_steps: {steps!r} is not allowed: None or a whole number, at least 1")
-    if known(steps) and int(np.asarray(steps)) < 1:
-        raise ValueError(f"max_episode_steps: {steps} is not allowed: None or a whole number, at least 1")
 
 
 def _whole(count: object) -> bool:

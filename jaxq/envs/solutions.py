@@ -1,4 +1,4 @@
-"""Exact action values of a finite MDP: what a learner should find.
+"""Exact action values of a finite MDP, what a learner should find, and how often a policy is where.
 
 Arrays as in ``mdp``: transition [S, A, S], reward [S, A] or [S, A, S], terminal [S] bool. They may be traced; the work
 is done in the dtype of ``transition``, at least float32; float64 needs ``jax_enable_x64``. With c(s) = 0 in a terminal
@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxq.envs.mdp import check_distribution, check_mdp, in_float, known
+from jaxq.envs.mdp import check_distribution, check_mdp, check_start, in_float, known
 from jaxq.types import Array, ArrayLike
 
 
@@ -30,9 +30,10 @@ def value_iteration(
 ) -> Array:
     """Optimal action values, V(s) = max_a Q(s, a), by sweeps over all states until they stand still.
 
-    Ends when no value changes by more than ``tolerance`` times the largest |Q|, or 1 if that is larger: then the error
-    is at most gamma / (1 - gamma) times that change. The default tolerance is eight roundings of the dtype. All values
-    are NaN if ``max_sweeps`` were not enough, as with gamma 1 where a reward may be earned for ever.
+    Ends when no value changes by more than ``tolerance`` times what it is the sum of, |r(s, a)| + gamma E |V(s')|: then
+    the error is at most gamma / (1 - gamma) times the largest change. So rewards of any scale give values of the same
+    relative accuracy. The default tolerance is eight roundings of the dtype. All values are NaN if ``max_sweeps`` were
+    not enough, as with gamma 1 where a reward may be earned for ever.
 
     Shapes: transition [S, A, S], reward [S, A] or [S, A, S], gamma [], terminal [S] -> [S, A], zeros in terminal rows.
     Raises ValueError for arrays that ``finite_mdp`` refuses, and, where it is known, for a gamma outside [0, 1].
@@ -54,10 +55,11 @@ def value_iteration(
 
     def sweep(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         q, _, sweeps = carry
-        after = _backup(p, r, c, gamma, jnp.max(q, axis=-1))
-        change, size = jnp.max(jnp.abs(after - q)), jnp.max(jnp.abs(after))
-        finite = jnp.isfinite(change)
-        moving = ~(finite & (change <= enough * jnp.maximum(size, 1)))
+        v = jnp.max(q, axis=-1)
+        after, size = _backup(p, r, c, gamma, v), _backup(p, jnp.abs(r), c, gamma, jnp.abs(v))
+        change = jnp.abs(after - q)
+        finite = jnp.all(jnp.isfinite(change))
+        moving = ~(finite & jnp.all(change <= enough * size))
         return after, moving, jnp.where(finite, sweeps + 1, max_sweeps)
 
     start = (jnp.zeros_like(r), jnp.ones((), bool), jnp.zeros((), jnp.int32))
@@ -87,6 +89,58 @@ def policy_evaluation(
     onward = jnp.einsum("sa,sat->st", pi, p, precision="highest") * c
     v = jnp.linalg.solve(jnp.eye(len(c), dtype=p.dtype) - jnp.asarray(gamma, p.dtype) * onward, jnp.sum(pi * r, -1))
     return _backup(p, r, c, gamma, v)
+
+
+def stationary_distribution(
+    transition: ArrayLike, policy: ArrayLike, terminal: ArrayLike | None = None, start: ArrayLike | None = None
+) -> Array:
+    """How often a policy acts in each state in the long run, an episode's end followed by the next one's start.
+
+    d(s') = sum_s d(s) P_pi(s, s') with P_pi(s, s') = sum_a pi(a | s) (c(s') P(s' | s, a) + e(s, a) start(s')), where
+    c(s') is 0 in a terminal state and 1 elsewhere, and e(s, a) = sum_s' (1 - c(s')) P(s' | s, a) is the probability of
+    an end. States that are never reached from ``start`` are acted in never. All values are NaN where that does not
+    determine d: where no state is reached from all that are acted in, as with two sets of states that are never left.
+    Time limits play no part.
+
+    Shapes: transition [S, A, S], policy [S, A], terminal [S] and start [S], both or neither -> [S], sums to 1. They may
+    be traced. Raises ValueError for arrays and a start that ``finite_mdp`` refuses, and for one of ``terminal`` and
+    ``start`` without the other. Sutton and Barto, 2018, section 9.2.
+
+    >>> there_and_back = np.array([[[0.0, 1.0]], [[0.5, 0.5]]])
+    >>> np.asarray(stationary_distribution(there_and_back, np.ones((2, 1))), float).round(4).tolist()
+    [0.3333, 0.6667]
+    """
+    p, _, c = _arrays(transition, np.zeros(np.shape(transition)[:2]), 0.0, terminal)
+    check_distribution("policy", policy, p.shape[:2])
+    if (terminal is None) != (start is None):
+        raise ValueError("start: an MDP with terminal states needs it, and no other takes it")
+    pi = jnp.asarray(policy, p.dtype) * c[:, None]
+    onward = jnp.einsum("sa,sat->st", pi, p, precision="highest")
+    acted = jnp.ones_like(c, bool)
+    if start is not None:
+        check_distribution("start", start, c.shape)
+        check_start(start, terminal)
+        first = jnp.asarray(start, p.dtype)
+        ended = jnp.sum(onward * (1 - c), -1)
+        onward = onward * c + jnp.outer(ended, first)
+    reached = _closure(onward > 0)
+    if start is not None:
+        acted = jnp.any((first > 0)[:, None] & reached, axis=0)
+    determined = jnp.any(acted & jnp.all(reached | ~acted[:, None], axis=0))
+    # d (I - P) = 0 and sum d = 1 as one system over the states that are acted in; where d is unique, adding 1 to every
+    # entry makes it regular. The others stand alone in it, with 0.
+    inside = jnp.outer(acted, acted)
+    balance = jnp.eye(len(c), dtype=p.dtype) - jnp.where(inside, onward, 0) + inside
+    d = jnp.clip(jnp.linalg.solve(balance.T, acted.astype(p.dtype)), 0)
+    return jnp.where(determined, d / jnp.sum(d), jnp.nan)
+
+
+def _closure(step: Array) -> Array:
+    """Which states are reached from each, itself among them. Shapes: step [S, S] bool -> [S, S] bool."""
+    reached = step | jnp.eye(len(step), dtype=bool)
+    for _ in range(math.ceil(math.log2(max(2, len(step))))):  # ways of up to 1, 2, 4, ... steps
+        reached = jnp.matmul(reached.astype(jnp.float32), reached.astype(jnp.float32)) > 0
+    return reached
 
 
 def _backup(p: Array, r: Array, c: Array, gamma: ArrayLike, v: Array) -> Array:
