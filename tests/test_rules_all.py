@@ -8,12 +8,12 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy_rules_cases as cases
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxq import rules
+from jaxq.verify import rule_cases as cases
 
 EACH = pytest.mark.parametrize("name", cases.NAMES)
 BATCH = 8

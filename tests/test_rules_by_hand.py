@@ -9,10 +9,10 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy_rules_cases as cases
 import pytest
 
 from jaxq import rules
+from jaxq.verify import rule_cases as cases
 
 LOG2, LOG3 = math.log(2), math.log(3)
 #: h(x) = sign(x) (sqrt(|x| + 1) - 1): 3 becomes 1, 8 becomes 2, 15 becomes 3.

@@ -7,12 +7,12 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy_rules
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxq import rules
+from jaxq.verify import numpy_rules_distributions
 
 seeds = st.integers(0, 2**32 - 1)
 examples = settings(max_examples=15, deadline=None, derandomize=True)
@@ -27,7 +27,7 @@ def test_a_projection_on_uniform_atoms_is_the_algorithm_of_c51(count, seed):
     rng = np.random.default_rng(seed)
     z_q, probs = np.linspace(-10, 10, count), rng.dirichlet(np.ones(count))
     z_p = rng.choice([0.0, 0.5, 1.0, 2.0]) * z_q + rng.choice([0.0, 20 / (count - 1), rng.normal()])
-    expected = numpy_rules.project_uniform(z_p, probs, z_q)
+    expected = numpy_rules_distributions.project_uniform(z_p, probs, z_q)
     with jax.enable_x64(True):
         np.testing.assert_allclose(project(z_p, probs, z_q), expected, rtol=1e-11, atol=1e-12)
     close(project(*(x.astype(np.float32) for x in (z_p, probs, z_q))), expected)
@@ -41,7 +41,7 @@ def test_a_projection_keeps_mass_and_the_mean_of_what_is_not_clipped(seed, count
     probs = rng.dirichlet(np.ones(counts[0]))
     z_p, probs, z_q = (x.astype(np.float32) for x in (z_p, probs, z_q))
     mass = np.asarray(project(z_p, probs, z_q))
-    close(mass, numpy_rules.categorical_l2_project(z_p, probs, z_q))
+    close(mass, numpy_rules_distributions.categorical_l2_project(z_p, probs, z_q))
     close(mass.sum(), 1.0)
     assert np.all(mass >= 0)
     close(mass @ z_q, probs @ np.clip(z_p, z_q[0], z_q[-1]))

@@ -7,10 +7,10 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy_rules_cases as cases
 import pytest
 
 from jaxq import rules
+from jaxq.verify import rule_cases as cases
 
 #: Elementwise, or any trees of arrays.
 ANY_SHAPE = ("signed_hyperbolic", "signed_parabolic", "polyak_update", "periodic_update")

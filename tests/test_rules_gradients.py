@@ -7,10 +7,10 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy_rules_cases as cases
 import pytest
 
 from jaxq import rules
+from jaxq.verify import rule_cases as cases
 
 LENGTHS = {"A": 3, "T": 5, "K": 4, "M": 3, "N": 2, "S": 3}
 ERRORS = [name for name in cases.NAMES if cases.error_of(name)]

@@ -7,13 +7,13 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy_rules_cases as cases
-import numpy_rules_multi
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxq import rules
+from jaxq.verify import numpy_rules_multi
+from jaxq.verify import rule_cases as cases
 
 STEPS, LENGTHS = 6, {"A": 3, "T": 6}
 TRAJECTORIES = [name for name in cases.NAMES if "cut_t" in dict(cases.RULES[name])]

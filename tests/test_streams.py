@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 WORDS = f"{sys.executable} -m jaxq train q-learning --max-episodes 30 --verbose --out run"
 
 

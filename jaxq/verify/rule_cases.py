@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import re
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
-import numpy_rules
-import numpy_rules_multi
+from numpy.typing import DTypeLike
 
 from jaxq import rules
+from jaxq.verify import numpy_rules, numpy_rules_distributions, numpy_rules_multi
 
 SIGNATURES = """
 action_value q_t[A] a_t[]
@@ -77,31 +80,48 @@ LENGTHS = [
     {"A": 1, "T": 1, "K": 1, "M": 1, "N": 1, "S": 1},
     {"A": 2, "T": 21, "K": 3, "M": 7, "N": 5, "S": 300},
 ]
+#: Where to look for a rule in NumPy, in this order.
+REFERENCES = (numpy_rules, numpy_rules_distributions, numpy_rules_multi)
 RULES = {line.split()[0]: re.findall(r"(\w+)\[(\w*)\]", line) for line in SIGNATURES.strip().splitlines()}
 NAMES = list(RULES)
 
 
-def statics(name, where):
+def statics(name: str, where: Any) -> dict[str, Any]:
     """The arguments that are no arrays, for JAX or for NumPy."""
     line = next(line for line in SIGNATURES.splitlines() if line.split()[:1] == [name])
-    found = {"n": 3} if " n" in re.sub(r"\S+\[", "", line) else {}
+    found: dict[str, Any] = {"n": 3} if " n" in re.sub(r"\S+\[", "", line) else {}
     if line.endswith("tx_pair"):
         found["tx_pair"] = rules.SIGNED_HYPERBOLIC_PAIR if where is rules else numpy_rules_multi.HYPERBOLIC
     return found
 
 
-@functools.cache
-def rule(name):
-    return functools.partial(getattr(rules, name), **statics(name, rules))
+def defaults(name: str) -> set[str]:
+    """The arguments of a rule that have a default, in the library and in NumPy."""
+    both = (getattr(rules, name), _in_numpy(name)[1])
+    kept = [{k for k, v in inspect.signature(one).parameters.items() if v.default is not v.empty} for one in both]
+    return (kept[0] & kept[1]) - {"eps"}
 
 
-@functools.cache
-def reference(name):
-    module = numpy_rules if hasattr(numpy_rules, name) else numpy_rules_multi
-    return functools.partial(getattr(module, name), **statics(name, module))
+def rule(name: str, *, given: bool = True) -> Callable[..., Any]:
+    """The library's rule, which takes arrays by name; ``given``: the arguments that are no arrays, even those that have
+    a default."""
+    kept = {k: v for k, v in statics(name, rules).items() if given or k not in defaults(name)}
+    return functools.partial(getattr(rules, name), **kept)
 
 
-def draw(rng, argument, letters, lengths, *, ties):
+def reference(name: str, *, given: bool = True) -> Callable[..., Any]:
+    """The same in NumPy."""
+    module, function = _in_numpy(name)
+    kept = {k: v for k, v in statics(name, module).items() if given or k not in defaults(name)}
+    return functools.partial(function, **kept)
+
+
+def _in_numpy(name: str) -> tuple[Any, Callable[..., Any]]:
+    module = next(one for one in REFERENCES if hasattr(one, name))
+    return module, getattr(module, name)
+
+
+def draw(rng: np.random.Generator, argument: str, letters: str, lengths: Mapping[str, int], *, ties: bool) -> Any:
     """One random argument in float64, an integer or a bool."""
     shape = tuple(lengths[letter] for letter in letters)
     if argument in ("a_tm1", "a_t", "action"):
@@ -126,25 +146,29 @@ def draw(rng, argument, letters, lengths, *, ties):
     return rng.integers(-2, 3, size=shape).astype(float) if ties else 2 * rng.normal(size=shape)
 
 
-def arguments(name, rng, dtype, lengths, *, ties=False):
+def arguments(
+    name: str, rng: np.random.Generator, dtype: DTypeLike, lengths: Mapping[str, int], *, ties: bool = False
+) -> dict[str, np.ndarray]:
     """Random arguments of a rule, floats in one dtype and integers in int32."""
     found = {}
+    kinds: dict[str, DTypeLike] = {"f": dtype, "i": np.int32, "b": bool}
     for argument, letters in RULES[name]:
         value = np.asarray(draw(rng, argument, letters, lengths, ties=ties))
-        found[argument] = value.astype({"f": dtype, "i": np.int32, "b": bool}[value.dtype.kind])
+        found[argument] = value.astype(kinds[value.dtype.kind])
     return found
 
 
-def in_float64(given):
+def in_float64(given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Arguments for a reference: the same numbers in float64."""
     return {k: v.astype(float) if v.dtype.kind == "f" else v for k, v in given.items()}
 
 
-def floats(given):
+def floats(given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Those that are no integers and no flags."""
     return {k: v for k, v in given.items() if v.dtype.kind == "f"}
 
 
-def error_of(name):
+def error_of(name: str) -> str | None:
     """The argument that a rule's error is taken of; None for a target or a value."""
     if name in ("quantile_target", "categorical_target"):
         return None
