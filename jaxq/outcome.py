@@ -151,13 +151,21 @@ class Outcome:
     def policy(self, config: int, seed: int = 0) -> SavedPolicy:
         """A training's final policy, played with NumPy. Raises ValueError where none was kept."""
         weights, about = self.store.policy(config, seed)
-        return saved_policy.load(weights, about, config)
+        return saved_policy.load(weights, about, config, seed)
 
     def plot(self, kind: str | None = None, **options: Any) -> Any:
         """A picture as a matplotlib Figure: see ``drawing.draw`` for the kinds and their options."""
         from jaxq import drawing
 
         return drawing.draw(self, kind, **options)
+
+    def record(self, path: str | Path, config: int = 0, seed: int = 0, **options: Any) -> list[float]:
+        """Writes a film of greedy episodes, ``FILE.gif`` or ``FILE.mp4``, and returns what they returned: see
+        ``recording.record`` for the options, ``episodes``, ``max_steps`` and ``fps``.
+        """
+        from jaxq import recording
+
+        return recording.record(self, Path(path), config, seed, **options)
 
     def __str__(self) -> str:
         from jaxq import report
@@ -187,6 +195,10 @@ class StoredRun:
     def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """A lane's final weights by name, and what describes them; both empty where it has none."""
         return parts.read_policy(self.path, config, seed)
+
+    def policies(self) -> set[tuple[int, int]]:
+        """The setting and seed of every lane whose policy was kept."""
+        return parts.kept_policies(self.path)
 
 
 def load(path: str | Path, env: Callable[..., Any] | None = None) -> Outcome:
