@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 READY := $(VENV)/.ready-$(VERSION)
 
-.PHONY: demo test lint lock notebook bench bench-peers peers parity clean
+.PHONY: demo test lint lock notebook bench bench-peers peers parity interop interop-gymnax lunar-lander clean
 
 demo: $(READY)
 	$(BIN)/jaxq sweep article-q --gamma 0.9 0.95 0.99 --seeds 100 --out runs/demo-q-sweep --overwrite
@@ -57,6 +57,21 @@ peers:
 parity:
 	$(PYTHON) benchmarks/peers/install.py .venv-peers-rlax
 	PYTHONPATH=tests .venv-peers-rlax/bin/python -m reference.rlax_parity
+
+# stable-baselines3's DQN on our CartPole as a Gymnasium environment, in an environment of its own.
+interop:
+	$(PYTHON) benchmarks/peers/install.py .venv-peers
+	PYTHONPATH=. .venv-peers/bin/python tests/reference/sb3_drives.py
+
+# gymnax's CartPole beside ours, and our DQN in gymnax's environments; gymnax excludes Gymnasium 1.4.
+interop-gymnax:
+	$(PYTHON) benchmarks/peers/install.py .venv-peers-gymnax
+	PYTHONPATH=. .venv-peers-gymnax/bin/python tests/reference/gymnax_wrapped.py
+
+# Our DQN in Gymnasium's LunarLander-v3 by the host loop: a quarter of an hour on two cores.
+lunar-lander:
+	$(PYTHON) benchmarks/peers/install.py .venv-peers-box2d
+	PYTHONPATH=. .venv-peers-box2d/bin/python -m benchmarks.lunar_lander
 
 clean:
 	rm -rf $(VENV) .venv-peers* .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxq import commands, exits, flags, streams, sweep_files
+from jaxq import commands, exits, flags, streams, sweep_files, worlds
 from jaxq.flags import COMMANDS, UsageError
 from jaxq.presets import listed, preset, presets
 from jaxq.suggest import nearest
@@ -44,8 +44,10 @@ def _dispatch(arguments: list[str]) -> int:
         return _bench(rest)
     if command not in COMMANDS:
         raise UsageError(f"command {command!r} is unknown{nearest(command, COMMANDS)}")
-    if command in ("report", "evaluate") or (command == "train" and any(w.split("=")[0] == "--from" for w in rest)):
-        return _of_a_run(command, rest)
+    if command in ("report", "evaluate", "record", "play", "verify") or (
+        command == "train" and any(w.split("=")[0] == "--from" for w in rest)
+    ):
+        return _by_module(command, rest)
     if not rest:
         raise UsageError(f"jaxq {command} needs a preset: {', '.join(p.name for p in presets())}")
     if rest[0].startswith("-"):
@@ -63,21 +65,18 @@ def _dispatch(arguments: list[str]) -> int:
     return commands.run(command, chosen, flags.parse(command, chosen, rest[1:], asked.get("env")), asked, file)
 
 
-def _of_a_run(command: str, words: list[str]) -> int:
-    """The commands that read a run directory."""
+def _by_module(command: str, words: list[str]) -> int:
+    """The commands that take no preset."""
     module = importlib.import_module(f"jaxq.command_{command}")
-    parser = flags.Parser(prog=f"jaxq {command}", description=f"{COMMANDS[command].capitalize()}.", allow_abbrev=False)
+    about = COMMANDS[command]
+    parser = flags.Parser(prog=f"jaxq {command}", description=f"{about[0].upper()}{about[1:]}.", allow_abbrev=False)
     module.arguments(parser)
     return module.run(flags.read(parser, words, f"jaxq {command}"))
 
 
 def _list() -> int:
-    from jaxq.envs import names
-
     print(f"presets\n{listed()}")
-    print("environments")
-    for name in names():
-        print(f"  {name}")
+    print(f"environments\n{worlds.listed()}")
     return exits.OK
 
 

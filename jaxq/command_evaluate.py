@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from typing import Any
 
@@ -52,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 
     try:
         outcome = load(options.directory)
-        lanes = _chosen(outcome, options)
+        lanes = chosen(outcome, options)
         show = not options.quiet and sys.stderr.isatty()
         watched = track(lanes, "evaluating", console=Console(stderr=True), transient=True, disable=not show)
         rows = [_row(outcome, lane, options) for lane in watched]
@@ -66,22 +67,35 @@ def run(options: argparse.Namespace) -> int:
     return exits.OK
 
 
-def _chosen(outcome: Any, options: argparse.Namespace) -> list[dict[str, Any]]:
+def chosen(outcome: Any, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """The rows of the lanes asked for whose policy was kept: those of ``config`` and ``seed``, with ``all`` every one,
+    else the best. Raises UsageError where there is none."""
+    kept = outcome.store.policies()
     rows = [row for row in outcome.lanes.to_pylist() if row.get("eval_return") is not None]
-    for name in ("config", "seed"):
-        wanted = getattr(options, name)
-        if wanted is not None:
-            rows = [row for row in rows if row[name] == wanted]
-            if not rows:
-                raise UsageError(f"--{name}: {wanted} has no lane with a policy in {options.directory}")
+    rows = [row for row in rows if (row["config"], row["seed"]) in kept]
+    asked = {name: wanted for name in ("config", "seed") if (wanted := getattr(options, name)) is not None}
+    rows = [row for row in rows if all(row[name] == wanted for name, wanted in asked.items())]
+    if not rows and asked:
+        named = ", ".join(f"--{name}: {wanted}" for name, wanted in asked.items())
+        raise UsageError(f"{named} has no lane with a policy in {options.directory}")
     if not rows:
         raise UsageError(f"{options.directory}: holds no lane with a policy")
-    if options.all or options.config is not None or options.seed is not None:
-        return rows
-    return [max(rows, key=lambda row: (row["status"] != "stopped", row["eval_return"]))]
+    return rows if getattr(options, "all", False) or asked else [best(rows)]
+
+
+def best(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The lane of greatest greedy return, of those that halving did not stop where there are any."""
+
+    def rank(row: dict[str, Any]) -> tuple[bool, float]:
+        value = row["eval_return"]
+        return row["status"] != "stopped", -math.inf if math.isnan(value) else value
+
+    return max(rows, key=rank)
 
 
 def _row(outcome: Any, lane: dict[str, Any], options: argparse.Namespace) -> dict[str, Any]:
+    import numpy as np
+
     from jaxq import replayed
 
     config, seed = lane["config"], lane["seed"]
@@ -89,9 +103,11 @@ def _row(outcome: Any, lane: dict[str, Any], options: argparse.Namespace) -> dic
     row = {"config": config, "seed": seed, **{name: lane[name] for name in outcome.varied}}
     row |= {"recorded": lane["eval_return"], "pure": float(played.returns.mean(dtype=float))}
     if options.env == "gymnasium":
-        from jaxq.interop import gymnasium
+        from jaxq.interop.gymnasium import reference as gymnasium
 
         settings = outcome.settings(config)
         returns = gymnasium.greedy_returns(settings.env, outcome.policy(config, seed), played.starts)
-        row |= {"gymnasium": float(returns.mean()), "same_episodes": float((returns == played.returns).mean())}
+        row |= {"gymnasium": float(returns.mean())}
+        if gymnasium.same_episodes(settings.env):
+            row["same_episodes"] = float(np.isclose(returns, played.returns, rtol=1e-4).mean())
     return row | {"episodes": options.episodes}

@@ -247,7 +247,9 @@ def _print(
         settings = planned.settings[0]
         if command == "train" and isinstance(settings, TabularSettings):
             print("final Q-table")
-            print(report.q_table(directory.policy(0, planned.seeds[0])[0]["table"], settings.num_buckets))
+            policy = outcome.policy(0, planned.seeds[0])
+            discretised = policy.about["edges"] is not None
+            print(report.q_table(policy.weights["table"], settings.num_buckets if discretised else (-1,)))
         plain = not encodes(sys.stdout, report.LINES)
         print(report.settings_table(summary, outcome.varied, color=sys.stdout.isatty(), plain=plain))
     sys.stdout.flush()

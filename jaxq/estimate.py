@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import jax
 
@@ -24,7 +25,7 @@ def memory(planned: Plan, workers: int | None = None) -> int:
         made = program(one, planned.prng)
         root = jax.eval_shape(lambda: prng.key(0, planned.prng))
         state, _ = jax.eval_shape(made.experiment.init, root, hypers(one))
-        lane = sum(math.prod(leaf.shape) * leaf.dtype.itemsize for leaf in jax.tree.leaves(state))
+        lane = _size(state)
         groups = min(workers or default_workers(), -(-planned.lanes // made.width))
         largest = max(largest, groups * made.width * lane * COPIES)
     return PROCESS + largest
@@ -32,9 +33,22 @@ def memory(planned: Plan, workers: int | None = None) -> int:
 
 def check(planned: Plan, workers: int | None = None) -> None:
     """Raises MemoryError, with the estimate, where a sweep would not fit into the memory that is free."""
-    need, free = memory(planned, workers), machine.available_memory()
+    _check(memory(planned, workers), "the sweep")
+
+
+def check_size(tree: Any, what: str) -> None:
+    """Raises MemoryError, with the size, where arrays of these shapes would not fit into the memory that is free."""
+    _check(_size(tree), what)
+
+
+def _check(need: int, what: str) -> None:
+    free = machine.available_memory()
     if free is not None and need > free:
-        raise MemoryError(f"the sweep needs about {told(need)} of memory, and {told(free)} are free")
+        raise MemoryError(f"{what} needs about {told(need)} of memory, and {told(free)} are free")
+
+
+def _size(tree: Any) -> int:
+    return sum(math.prod(leaf.shape) * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
 
 
 def told(size: int) -> str:

@@ -1,11 +1,8 @@
 """An environment and an agent meet: one training, as two pure functions that the engine vmaps over lanes.
 
-A training is a chain of *rounds*: T steps of N environments, then one update. ``advance`` runs a fixed number of
-rounds, a *segment*, and logs every step, so the same compiled program serves a sweep that looks at totals and a train
-command that shows each episode.
-
-Keys: the state holds the words of the lane's key, never a typed key. The key of step t of environment n and the key of
-update u are folds of them, so no key is carried and none is used twice.
+``advance`` runs a fixed number of *rounds* (see ``rounds``), a *segment*, and logs every step, so the same compiled
+program serves a sweep that looks at totals and a train command that shows each episode. The state holds the words of
+the lane's key, never a typed key.
 """
 
 from __future__ import annotations
@@ -16,27 +13,26 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxq import prng
 from jaxq.envs.auto_reset import auto_reset
 from jaxq.evaluation import greedy_returns
+from jaxq.rounds import (
+    Limits,
+    Streams,
+    example,
+    judged,
+    new_clock,
+    places,
+    streams_of,
+    ticked,
+    verdict,
+    warm_up_rounds,
+)
 from jaxq.success import Success
-from jaxq.types import Agent, Array, Clock, Env, Experiment, Hypers, Key, Scalar, Step, Transition
+from jaxq.types import Agent, Array, Clock, Env, Experiment, Hypers, Key, Step, Transition
 
 #: A segment is a loop over loops of at most this many rounds. XLA compiles a loop of few bytes into one function (see
 #: ``cpu``), and the rows logged in it count.
 INNER_ROUNDS = 100
-
-#: Why a lane stands still; 0 while it runs.
-RUNNING, SOLVED, FINISHED, DIVERGED = range(4)
-
-
-class Limits(NamedTuple):
-    """The numbers of a run: where it ends, and what counts as success."""
-
-    max_episodes: Scalar
-    max_env_steps: Scalar
-    success_steps: Scalar
-    success_streak: Scalar
 
 
 class LaneState(NamedTuple):
@@ -92,7 +88,7 @@ def experiment(
     for name, count in counts.items():
         if count < 1:
             raise ValueError(f"{name}: {count} is too small")
-    warm_up = max(0, -(-warm_up_steps // num_envs) - steps_per_round)
+    warm_up = warm_up_rounds(warm_up_steps, num_envs, steps_per_round)
 
     def make(hypers: Hypers) -> tuple[Env, Agent]:
         env = make_env(hypers.env)
@@ -101,18 +97,19 @@ def experiment(
     def init(key: Key, hypers: Hypers) -> tuple[LaneState, Log]:
         env, agent = make(hypers)
         words, zero = jax.random.key_data(key), jnp.zeros((), jnp.int32)
-        streams = _streams(words, impl)
+        streams = streams_of(words, impl)
         env_state = jax.vmap(env.reset)(jax.random.split(streams.reset, num_envs))
+        obs = jax.vmap(env.observe)(env_state)
         state = LaneState(
             key_words=words,
             round=zero,
             env=env_state,
-            obs=jax.vmap(env.observe)(env_state),
+            obs=obs,
             length=jnp.zeros((num_envs,), jnp.int32),
             total=jnp.zeros((num_envs,), jnp.float32),
-            agent=agent.init(streams.agent, _example(env, env_state)),
+            agent=agent.init(streams.agent, example(env.observe(jax.tree.map(lambda leaf: leaf[0], env_state)))),
             success=success.init(),
-            clock=Clock(zero, zero, zero, live=jnp.ones((), jnp.float32)),
+            clock=new_clock(),
             status=zero,
         )
         if warm_up == 0:
@@ -131,7 +128,7 @@ def experiment(
 
     def one_round(state: LaneState, hypers: Hypers) -> tuple[LaneState, dict[str, Array]]:
         env, agent = make(hypers)
-        streams = _streams(state.key_words, impl)
+        streams = streams_of(state.key_words, impl)
         before = state.clock
         state, experience, solved, (over, total) = _rollout(
             env, agent, success, streams, state, hypers.run, steps_per_round
@@ -185,7 +182,7 @@ def experiment(
     def evaluate(key: Key, policy: Any, hypers: Hypers) -> Array:
         env = make_env(hypers.env)
         agent = make_agent(hypers.agent, env)
-        streams = _streams(jax.random.key_data(key), impl)
+        streams = streams_of(jax.random.key_data(key), impl)
         return greedy_returns(streams.evaluate, env, lambda obs: agent.q_values(policy, obs), eval_episodes, eval_steps)
 
     def policy(state: LaneState, hypers: Hypers) -> Any:
@@ -194,25 +191,11 @@ def experiment(
     return Experiment(init, advance, evaluate, policy)
 
 
-class _Streams(NamedTuple):
-    reset: Key
-    agent: Key
-    act: Key
-    step: Key
-    update: Key
-    evaluate: Key
-
-
-def _streams(words: Array, impl: str) -> _Streams:
-    return _Streams(*jax.random.split(prng.wrap(words, impl), 6))
-
-
 def _rollout(
-    env: Env, agent: Agent, success: Success, streams: _Streams, state: LaneState, limits: Limits, steps: int
+    env: Env, agent: Agent, success: Success, streams: Streams, state: LaneState, limits: Limits, steps: int
 ) -> tuple[LaneState, Transition, Array, tuple[Array, Array]]:
     """``steps`` steps of all environments. Experience has axes [steps, N]."""
     num_envs = state.length.shape[0]
-    live = (state.clock.live > 0).astype(jnp.int32)
 
     def one_env(
         index: Array, env_state: Any, obs: Any, learner: Any, clock: Clock
@@ -227,32 +210,22 @@ def _rollout(
 
     def body(carry: tuple[LaneState, Array], t: Array) -> tuple[tuple[LaneState, Array], Any]:
         state, solved = carry
-        index = (state.round * steps + t) * num_envs + jnp.arange(num_envs)
+        index = places(state.round, t, steps, num_envs)
         (env_state, obs), experience, happened = jax.vmap(one_env, in_axes=(0, 0, 0, None, None))(
             index, state.env, state.obs, state.agent, state.clock
         )
         over = experience.cut_t
         length, total = state.length + 1, state.total + happened.reward.astype(jnp.float32)
-        judged, met = jax.lax.scan(
-            lambda held, episode: success.update(held, *episode, limits),
-            state.success,
-            (over, length, total),
-            unroll=num_envs == 1,
-        )
-        solved = solved | jnp.any(met)
-        clock = state.clock._replace(
-            env_steps=state.clock.env_steps + live * num_envs,
-            episodes=state.clock.episodes + live * jnp.sum(over, dtype=jnp.int32),
-        )
+        success_state, met = judged(success, state.success, over, length, total, limits)
         state = state._replace(
             env=env_state,
             obs=obs,
             length=jnp.where(over, 0, length),
             total=jnp.where(over, 0.0, total),
-            success=judged,
-            clock=clock,
+            success=success_state,
+            clock=ticked(state.clock, over),
         )
-        return (state, solved), (experience, over, total)
+        return (state, solved | met), (experience, over, total)
 
     start = (state, jnp.zeros((), bool))
     (state, solved), (experience, over, total) = jax.lax.scan(
@@ -262,17 +235,6 @@ def _rollout(
 
 
 def _judge(state: LaneState, solved: Array, diverged: Array, limits: Limits) -> LaneState:
-    """Ends a live lane that diverged, succeeded or reached a limit, in this order of weight."""
-    clock = state.clock
-    limit = (clock.episodes >= limits.max_episodes) | (clock.env_steps >= limits.max_env_steps)
-    verdict = jnp.where(diverged, DIVERGED, jnp.where(solved, SOLVED, jnp.where(limit, FINISHED, RUNNING)))
-    status = jnp.where(clock.live > 0, verdict, state.status)
-    return state._replace(status=status, clock=clock._replace(live=(status == RUNNING).astype(jnp.float32)))
-
-
-def _example(env: Env, env_state: Any) -> Transition:
-    """One transition of the right shapes and dtypes, for an agent to lay out its state."""
-    one = jax.tree.map(lambda leaf: leaf[0], env_state)
-    obs = env.observe(one)
-    zero = jnp.zeros((), jnp.float32)
-    return Transition(obs, jnp.zeros((), jnp.int32), zero, zero, obs, jnp.zeros((), bool))
+    """Ends a live lane that diverged, succeeded or reached a limit."""
+    clock, status = verdict(state.clock, state.status, solved, diverged, limits)
+    return state._replace(status=status, clock=clock)

@@ -25,6 +25,9 @@ COMMANDS = {
     "train": "train one lane, with its episodes and pictures",
     "report": "write the report of a run directory: tables and pictures",
     "evaluate": "play the saved policies of a run directory, in Gymnasium too",
+    "record": "film greedy episodes of a saved policy, with its action values",
+    "play": "watch greedy episodes of a saved policy in the terminal",
+    "verify": "compare this installation with Gymnasium, NumPy, JAX and itself",
     "bench": "measure the throughput of this machine",
     "list": "list the presets and environments",
 }

@@ -54,3 +54,7 @@ class MemoryRun:
     def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """A lane's final weights by name, and what describes them; both empty where it has none."""
         return self._policies.get((config, seed), ({}, {}))
+
+    def policies(self) -> set[tuple[int, int]]:
+        """The setting and seed of every lane whose policy was kept."""
+        return set(self._policies)

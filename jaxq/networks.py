@@ -28,13 +28,23 @@ class Network:
     apply: Callable[[PyTree, PyTree], Array]
 
 
-def mlp(hidden: Sequence[int], num_actions: int) -> Network:
+def mlp(hidden: Sequence[int], num_actions: int, *, num_states: int | None = None) -> Network:
     """A multilayer perceptron with ReLU between its layers; ``hidden=()`` is a linear function.
 
-    q = W_n relu(... relu(W_1 x + b_1) ...) + b_n, x the flattened observation. Shapes: obs any, q [A].
+    q = W_n relu(... relu(W_1 x + b_1) ...) + b_n, x the flattened observation; with ``num_states`` an observation is
+    one of the integers 0 .. num_states - 1, and x[k] = 1(k = obs). Shapes: obs any, q [A].
     """
     module = MLP(tuple(hidden), num_actions)
-    return Network(init=module.init, apply=module.apply)
+    if num_states is None:
+        return Network(init=module.init, apply=module.apply)
+
+    def one_hot(obs: PyTree) -> Array:  # here, not in the environment: a replay of integers is that much smaller
+        return (jnp.arange(num_states) == obs).astype(jnp.float32)
+
+    return Network(
+        init=lambda key, obs: module.init(key, one_hot(obs)),
+        apply=lambda params, obs: module.apply(params, one_hot(obs)),
+    )
 
 
 #: So few inputs or outputs are written out, term by term, instead of left to a product.

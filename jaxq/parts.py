@@ -75,6 +75,18 @@ def read_policy(path: Path, config: int, seed: int) -> tuple[dict[str, np.ndarra
     return {}, {}
 
 
+def kept_policies(path: Path) -> set[tuple[int, int]]:
+    """The setting and seed of every lane whose policy was kept."""
+    found, sound = set[tuple[int, int]](), run_files.committed(path)
+    for number, file in run_files.batches(path):
+        if file.suffix == ".safetensors" and number in sound:
+            with safetensors.safe_open(file, "numpy") as tensors:
+                for name in tensors.keys():  # noqa: SIM118
+                    config, seed, _ = name.split("/", 2)
+                    found.add((int(config), int(seed)))
+    return found
+
+
 def commit(path: Path, number: str) -> dict[str, Any] | None:
     """What the ``lanes`` part of a batch says of it: ``files``, those that were written before it by their SHA-256, and
     what else it was given. None where the part cannot be read through, or one of the files is not as it was written.

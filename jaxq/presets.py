@@ -56,9 +56,13 @@ class Training(Settings):
         return self
 
 
+#: Fields that say between which bounds a table divides CartPole's observations; other worlds say so themselves.
+CARTPOLE_BOUNDS = ("position_bound", "velocity_bound", "angle_bound", "angular_velocity_bound")
+
+
 class TabularSettings(Training):
-    """A learner with a table on the discretised CartPole, under the tutorial's names; its parts are those of
-    ``table_parts``."""
+    """A learner with a table, on CartPole discretised under the tutorial's names, and on other environments; its parts
+    are those of ``table_parts``."""
 
     epsilon_min: float = number(0.01, "least exploration rate", **Probability)
     epsilon_max: float = number(1.0, "greatest exploration rate", **Probability)
@@ -75,7 +79,9 @@ class TabularSettings(Training):
     velocity_bound: float = number(0.5, "m/s: likewise for velocities", **Scale)
     angle_bound: float = number(2 * 12 * 2 * math.pi / 360, "rad: likewise for pole angles", **Scale)
     angular_velocity_bound: float = number(math.radians(50), "rad/s: likewise for pole velocities", **Scale)
-    num_buckets: tuple[int, int, int, int] = structure((1, 1, 6, 3), "buckets per coordinate, as 1,1,6,3")
+    num_buckets: tuple[int, ...] = structure(
+        (1, 1, 6, 3), "buckets per coordinate, as 1,1,6,3; other environments have other ones"
+    )
     target: Target = structure(
         "greedy", "what a transition bootstraps from: the greedy value, the next action's, or the expected one"
     )
@@ -100,6 +106,10 @@ class TabularSettings(Training):
         for low, high in (("epsilon_min", "epsilon_max"), ("alpha_min", "alpha_max")):
             if getattr(self, low) > getattr(self, high):
                 raise ValueError(f"{low}: {getattr(self, low)} must not be above {high} ({getattr(self, high)})")
+        if len(self.num_buckets) != (wanted := 4 if self.env.bounds is None else len(self.env.bounds)):
+            few = "few" if len(self.num_buckets) < wanted else "many"
+            shown = ",".join(map(str, self.num_buckets))
+            raise ValueError(f"num_buckets: {shown} is not allowed: too {few} values, {self.env} has {wanted}")
         if min(self.num_buckets) < 1 or math.prod(self.num_buckets) > 2**20:
             raise ValueError(f"num_buckets: {self.num_buckets} must each be at least 1 and multiply to at most 2^20")
         return self
@@ -266,6 +276,20 @@ def settle(base: Preset, **overrides: Any) -> Any:
         if name not in known:
             raise ValueError(f"{name}: {base.name} has no such setting{nearest(name, known)}")
     numbers = {name.removeprefix("env."): overrides.pop(name) for name in list(overrides) if name.startswith("env.")}
+    return changed(settings, {**_suited(settings, env, overrides), "env": changed(env, numbers, prefix="env.")})
+
+
+def _suited(settings: Training, env: World, overrides: dict[str, Any]) -> dict[str, Any]:
+    """The overrides, with what a preset for CartPole must be otherwise in another environment."""
+    suited: dict[str, Any] = {}
+    known = env.factory is None and env.id != worlds.CartPole.id
+    if known and settings.stop in ("streak", "window"):  # how long an episode is tells of success in CartPole alone
+        suited["stop"] = "gymnasium" if env.reward_threshold is not None else "none"
     if settings.stop == "gymnasium" and env.reward_threshold is None:
-        overrides = {"stop": "none", **overrides}
-    return changed(settings, {**overrides, "env": changed(env, numbers, prefix="env.")})
+        suited["stop"] = "none"
+    if isinstance(settings, TabularSettings) and env.bounds is not None:
+        suited["num_buckets"] = env.buckets or (10,) * len(env.bounds)
+        for name in CARTPOLE_BOUNDS:
+            if overrides.get(name, kept := getattr(settings, name)) != kept:
+                raise ValueError(f"{name}: {overrides[name]} is not allowed: {env} has bounds of its own")
+    return {**suited, **overrides}

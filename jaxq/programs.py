@@ -17,8 +17,9 @@ from jaxq import networks, success
 from jaxq.agents.dqn import DQNHypers, dqn
 from jaxq.agents.tabular import TabularHypers, tabular
 from jaxq.envs import discretise, registered, tutorial_edges
-from jaxq.experiment import Limits, experiment
+from jaxq.experiment import experiment
 from jaxq.presets import DQNSettings, TabularSettings, Training
+from jaxq.rounds import Limits
 from jaxq.settings import NO_LIMIT, Settings
 from jaxq.table_parts import unfit
 from jaxq.types import Agent, Env, Experiment, Hypers
@@ -72,7 +73,7 @@ def played(settings: Training) -> Played:
     make_env, make_agent = pieces(settings)
     numbers = hypers(settings)
     env = make_env(numbers.env)
-    return Played(_world(settings.env)(_numbers(settings.env)), env, make_agent(numbers.agent, env))
+    return Played(world_env(settings.env)(world_numbers(settings.env)), env, make_agent(numbers.agent, env))
 
 
 @singledispatch
@@ -95,7 +96,7 @@ def hypers(settings: Settings) -> Hypers:
 
 @pieces.register
 def _(settings: TabularSettings) -> Pieces:
-    make_world = _world(settings.env)
+    make_world = world_env(settings.env)
 
     def make_env(numbers: Any) -> Env:
         of_world, edges = numbers
@@ -117,23 +118,36 @@ def _(settings: TabularSettings) -> Pieces:
 @program.register
 def _(settings: TabularSettings, impl: str) -> Program:
     made = experiment(
-        *pieces(settings), success=_success(settings), rounds=4000, eval_episodes=settings.eval_episodes, impl=impl
+        *pieces(settings),
+        success=success_rule(settings),
+        rounds=4000,
+        eval_episodes=settings.eval_episodes,
+        eval_steps=settings.env.eval_steps,
+        impl=impl,
     )
     return Program(made, width=_width(TABLES), num_envs=1)
 
 
 @hypers.register
 def _(settings: TabularSettings) -> Hypers:
-    # The tutorial takes these two bounds from Gymnasium's observation space, which is float32; its own two are not.
-    high = (
+    low, high = bucket_bounds(settings)
+    edges = tutorial_edges(low, high, settings.num_buckets)
+    agent = TabularHypers(**{name: getattr(settings, name) for name in TabularHypers._fields})
+    return as_numpy(Hypers((world_numbers(settings.env), edges), agent, _limits(settings)))
+
+
+def bucket_bounds(settings: TabularSettings) -> tuple[list[Any], list[Any]]:
+    """The low and high of each coordinate between which the table divides it."""
+    if settings.env.bounds is not None:
+        return [low for low, _ in settings.env.bounds], [high for _, high in settings.env.bounds]
+    # The tutorial takes two of these from Gymnasium's observation space, which is float32; its own two are not.
+    high: list[Any] = [
         np.float32(settings.position_bound),
         settings.velocity_bound,
         np.float32(settings.angle_bound),
         settings.angular_velocity_bound,
-    )
-    edges = tutorial_edges([-bound for bound in high], high, settings.num_buckets)
-    agent = TabularHypers(**{name: getattr(settings, name) for name in TabularHypers._fields})
-    return as_numpy(Hypers((_numbers(settings.env), edges), agent, _limits(settings)))
+    ]
+    return [-bound for bound in high], high
 
 
 @pieces.register
@@ -141,7 +155,7 @@ def _(settings: DQNSettings) -> Pieces:
     def make_agent(numbers: DQNHypers, env: Env) -> Agent:
         return dqn(
             numbers,
-            network=networks.mlp(settings.hidden, env.num_actions),
+            network=networks.mlp(settings.hidden, env.num_actions, num_states=env.num_states),
             num_actions=env.num_actions,
             batch_size=settings.batch_size,
             buffer_size=settings.buffer_size,
@@ -152,19 +166,20 @@ def _(settings: DQNSettings) -> Pieces:
             clip=settings.clip,
         )
 
-    return Pieces(_world(settings.env), make_agent)
+    return Pieces(world_env(settings.env), make_agent)
 
 
 @program.register
 def _(settings: DQNSettings, impl: str) -> Program:
     made = experiment(
         *pieces(settings),
-        success=_success(settings),
+        success=success_rule(settings),
         rounds=max(1, 256 // (settings.steps_per_update * settings.num_envs)),
         num_envs=settings.num_envs,
         steps_per_round=settings.steps_per_update,
         warm_up_steps=settings.learning_starts,
         eval_episodes=settings.eval_episodes,
+        eval_steps=settings.env.eval_steps,
         impl=impl,
     )
     return Program(made, width=_width(NETWORKS), num_envs=settings.num_envs)
@@ -178,11 +193,14 @@ def _(settings: DQNSettings) -> Hypers:
     updates = max(1, (falls - settings.learning_starts) // per_round)
     given = {name: getattr(settings, name) for name in DQNHypers._fields if hasattr(settings, name)}
     agent = DQNHypers(**{**given, "learning_rate_end": end, "anneal_updates": updates})
-    return as_numpy(Hypers(_numbers(settings.env), agent, _limits(settings)))
+    return as_numpy(Hypers(world_numbers(settings.env), agent, _limits(settings)))
 
 
-def _world(world: World) -> Callable[[Any], Env]:
-    """Makes the environment of a world's numbers."""
+def world_env(world: World) -> Callable[[Any], Env]:
+    """What makes the environment of a world of ``world_numbers``, which may be traced; the world's own play no part.
+
+    It raises ValueError where a user's function makes no ``Env``.
+    """
     options = {name: value for name, value in world.flat().items() if world.is_structure(name)}
     if world.factory is None:
         factory, _ = registered(world.id)
@@ -198,7 +216,8 @@ def _world(world: World) -> Callable[[Any], Env]:
     return make
 
 
-def _numbers(world: World) -> Any:
+def world_numbers(world: World) -> Any:
+    """A world's numbers, as what ``world_env`` gives takes them."""
     values = {name: value for name, value in world.flat().items() if not world.is_structure(name)}
     if world.factory is not None:
         return values
@@ -206,7 +225,8 @@ def _numbers(world: World) -> Any:
     return params(**values)
 
 
-def _success(settings: Training) -> success.Success:
+def success_rule(settings: Training) -> success.Success:
+    """What ends a lane of these settings as solved."""
     if settings.stop == "streak":
         return success.streak()
     if settings.stop == "window":

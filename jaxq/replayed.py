@@ -27,9 +27,9 @@ class Trained(Protocol):
 
 
 class Played(NamedTuple):
-    """Greedy episodes: where they began and what they returned. Shapes: starts [n, ...], returns [n]."""
+    """Greedy episodes: the states of the world in which they began, and what they returned, [n]."""
 
-    starts: np.ndarray
+    starts: Any
     returns: np.ndarray
 
 
@@ -45,17 +45,18 @@ def play(outcome: Trained, config: int, seed: int, episodes: int, root_seed: int
 
     Raises ValueError where no policy was kept.
     """
-    made, q_values = _lane(outcome, config, seed)
+    made, q_values = lane(outcome, config, seed)
 
     def key() -> Key:  # made twice: an episode consumes what its start is told by
         return jax.random.fold_in(prng.key(root_seed, "threefry"), 0)
 
     def start(key: Array) -> Any:  # where an episode of this key begins
-        return made.world.observe(made.world.reset(jax.random.split(key)[0]))
+        return made.world.reset(jax.random.split(key)[0])
 
     starts = jax.vmap(start)(jax.random.split(key(), episodes))
-    run = jax.jit(lambda key: greedy_returns(key, made.env, q_values, episodes, 10**6))
-    return Played(np.asarray(starts), np.asarray(run(key())))
+    limit = outcome.settings(config).env.eval_steps
+    run = jax.jit(lambda key: greedy_returns(key, made.env, q_values, episodes, limit))
+    return Played(jax.tree.map(np.asarray, starts), np.asarray(run(key())))
 
 
 def follow(outcome: Trained, config: int, seed: int, episodes: int = 20, steps: int = 500) -> Followed:
@@ -69,7 +70,7 @@ def follow(outcome: Trained, config: int, seed: int, episodes: int = 20, steps: 
     gamma = float(settings.gamma)
     beyond = math.ceil(math.log(0.01) / math.log(gamma)) if 0 < gamma < 1 else 1 if gamma == 0 else 10 * steps
     beyond = min(beyond, 20_000)
-    made, q_values = _lane(outcome, config, seed, endless=True)
+    made, q_values = lane(outcome, config, seed, endless=True)
     env = made.env
 
     def one(key: Array) -> tuple[Array, Array, Array]:
@@ -96,8 +97,11 @@ def follow(outcome: Trained, config: int, seed: int, episodes: int = 20, steps: 
     return Followed(predicted[:, :steps][seen], returns[:, :steps][seen])
 
 
-def _lane(outcome: Trained, config: int, seed: int, endless: bool = False) -> tuple[Any, Callable[[Array], Array]]:
-    """What plays a lane's policy, and its action values as a function that can be traced."""
+def lane(outcome: Trained, config: int, seed: int, endless: bool = False) -> tuple[Any, Callable[[Array], Array]]:
+    """What plays a lane's policy, and its action values as a function that can be traced.
+
+    Raises ValueError where no policy was kept.
+    """
     settings = outcome.settings(config)
     if endless and "max_episode_steps" in type(settings.env).model_fields:
         world = settings.env.model_copy(update={"max_episode_steps": 10**9})

@@ -95,11 +95,11 @@ def _best_of(summary: Sequence[Row]) -> tuple[list[Row], bool]:
     return summaries.ranked(summary)[:MOST], True
 
 
-def rows_table(rows: Sequence[Row], *, plain: bool = False) -> str:
-    """Rows as text, a column per name."""
+def rows_table(rows: Sequence[Row], *, words: Sequence[str] = (), plain: bool = False) -> str:
+    """Rows as text, a column per name; ``words`` are the columns that begin on the left."""
     table = Table(box=box.ASCII2 if plain else box.SIMPLE_HEAD, pad_edge=False)
     for name in rows[0]:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="left" if name in words else "right")
     for row in rows:
         table.add_row(
             *(f"{value:.6g}" if isinstance(value, float) else settings.shown(value) for value in row.values())
@@ -107,10 +107,10 @@ def rows_table(rows: Sequence[Row], *, plain: bool = False) -> str:
     return _text(table)
 
 
-def q_table(values: np.ndarray, num_buckets: Sequence[int]) -> str:
-    """A table of action values in the shape of its buckets, as text."""
+def q_table(values: np.ndarray, shape: Sequence[int]) -> str:
+    """A table of action values [S, A] in the shape of its states, as text."""
     with np.printoptions(precision=4, suppress=True):
-        return str(values.reshape(*num_buckets, -1))
+        return str(values.reshape(*shape, values.shape[-1]))
 
 
 def _interval(row: Row, name: str, digits: int) -> str:

@@ -21,6 +21,8 @@ PARTS, POLICIES, CHECKPOINTS, QUARANTINE, PICTURES, TENSORBOARD = (
 FOLDERS = (PARTS, POLICIES, CHECKPOINTS)
 #: Pictures beside the manifest; a report's are in a folder of their own.
 DRAWN = ("learning_curves.png", "q_values.png", "episodes.png")
+#: What ``jaxq record`` makes.
+RECORDINGS = ("record.gif", "record.mp4")
 _BATCH = re.compile(r"(\d{5,})(-(lanes|curves|episodes)\.parquet|\.safetensors)$")
 _CHECKPOINT = re.compile(r"(\d+)-(\d+)\.safetensors$")
 _PICTURE = re.compile(r"[\w.-]+\.(png|svg)$")
@@ -54,6 +56,26 @@ def replace(target: Path, data: bytes) -> None:
         with contextlib.suppress(OSError):
             part.unlink()
         raise WriteError(f"{target}: {error.strerror}") from None
+
+
+@contextlib.contextmanager
+def replacing(target: Path) -> Iterator[Path]:
+    """The name under which a file is to be written within, piece by piece; at the end it is synced and takes its own.
+
+    What was there stays, and the piece goes, where anything is raised. Raises WriteError for an OSError.
+    """
+    part = temporary(target)
+    try:
+        yield part
+        with open(part, "rb+") as file:
+            os.fsync(file.fileno())
+        part.replace(target)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        if isinstance(error, OSError):
+            raise WriteError(f"{target}: {error.strerror or error}") from None
+        raise
 
 
 def batch(file: Path) -> str | None:
@@ -96,7 +118,7 @@ def lane_of(file: Path) -> tuple[int, int] | None:
 
 def own_files(path: Path) -> list[Path]:
     """What a run has written."""
-    named = [path / name for name in (MANIFEST, SWEEP, REPORT, *DRAWN)]
+    named = [path / name for name in (MANIFEST, SWEEP, REPORT, *DRAWN, *RECORDINGS)]
     return [
         *(file for _, file in batches(path)),
         *(file for file in (path / CHECKPOINTS).glob("*") if lane_of(file) and file.is_file()),
@@ -109,7 +131,7 @@ def own_files(path: Path) -> list[Path]:
 
 def temporaries(path: Path) -> list[Path]:
     """What a kill in the middle of a write leaves."""
-    named = [temporary(path / name) for name in (MANIFEST, SWEEP, REPORT, *DRAWN)]
+    named = [temporary(path / name) for name in (MANIFEST, SWEEP, REPORT, *DRAWN, *RECORDINGS)]
 
     def owned(file: Path) -> bool:
         final = Path(file.name[1:].removesuffix(".tmp"))

@@ -183,6 +183,10 @@ class RunDirectory:
         """A lane's final weights by name, and what describes them; both empty where it has none."""
         return parts.read_policy(self.path, config, seed)
 
+    def policies(self) -> set[tuple[int, int]]:
+        """The setting and seed of every lane whose policy was kept."""
+        return parts.kept_policies(self.path)
+
     def _write_sweep(self, plan: Plan) -> None:
         with contextlib.suppress(ValueError):  # of a function of the user's own there is no file
             run_files.replace(self.path / run_files.SWEEP, sweep_files.text(plan).encode())

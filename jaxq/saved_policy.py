@@ -2,8 +2,10 @@
 
 The description of a setting is JSON in the metadata of the file that holds its weights, under ``policies`` and the
 setting's index: ``{"kind": "mlp", "layers": ["params.Linear_0", ...]}``, each layer y = x W + b with W its ``.kernel``
-and b its ``.bias`` and ReLU between them; or ``{"kind": "table", "edges": [[...], ...]}``, the row of ``table`` being
+and b its ``.bias`` and ReLU between them (with ``"num_states": n`` the first one's x is 1 at the observation's place of
+n, else 0); or ``{"kind": "table", "edges": [[...], ...]}``, the row of ``table`` being
 the flat index (C order) of how many edges each coordinate has reached, or the observation itself without edges.
+Integers that begin elsewhere than at 0 have ``first_state`` and ``first_action`` as well.
 """
 
 from __future__ import annotations
@@ -29,9 +31,13 @@ class SavedPolicy:
     def q_values(self, obs: np.ndarray) -> np.ndarray:
         """Action values of observations. Shapes: obs [n, ...] -> [n, A]."""
         obs = np.asarray(obs)
+        if "first_state" in self.about:
+            obs = obs.astype(int) - self.about["first_state"]
         if self.about["kind"] == "table":
             return np.asarray(self.weights["table"])[self._row(obs)]
-        x = obs.reshape(len(obs), -1).astype(np.float32)
+        count = self.about.get("num_states")
+        x = obs.reshape(len(obs), -1) if count is None else np.arange(count) == obs.reshape(-1, 1)
+        x = x.astype(np.float32)
         for i, layer in enumerate(self.about["layers"]):
             x = np.maximum(x, 0) if i else x
             x = x @ self.weights[f"{layer}.kernel"] + self.weights[f"{layer}.bias"]
@@ -39,13 +45,13 @@ class SavedPolicy:
 
     def act(self, obs: np.ndarray) -> np.ndarray:
         """The greedy actions of observations, the first of equals. Shapes: obs [n, ...] -> [n]."""
-        return self.q_values(obs).argmax(axis=1)
+        return self.q_values(obs).argmax(axis=1) + int(self.about.get("first_action", 0))
 
     def _row(self, obs: np.ndarray) -> np.ndarray:
         edges: Sequence[Sequence[float]] | None = self.about.get("edges")
         if edges is None:
             return obs.astype(int)
-        row = np.zeros(len(obs), int)
+        obs, row = obs.reshape(len(obs), -1), np.zeros(len(obs), int)
         for i, steps in enumerate(edges):
             reached = (obs[:, i, None].astype(np.float32) >= np.asarray(steps, np.float32)).sum(axis=1)
             row = row * (len(steps) + 1) + reached
@@ -55,12 +61,18 @@ class SavedPolicy:
 def describe(settings: Any) -> dict[str, Any] | None:
     """What a setting's policies are; None for what is no table or network."""
     if isinstance(settings, TabularSettings):
-        discretised = settings.env.factory is None or played(settings).world.num_states is None
-        edges = [row.tolist() for row in hypers(settings).env[1]] if discretised else None
+        edges = [row.tolist() for row in hypers(settings).env[1]] if _num_states(settings) is None else None
         return {"kind": "table", "edges": edges}
     if isinstance(settings, DQNSettings):
-        return {"kind": "mlp", "layers": [f"params.Linear_{i}" for i in range(len(settings.hidden) + 1)]}
+        layers = [f"params.Linear_{i}" for i in range(len(settings.hidden) + 1)]
+        count = _num_states(settings)
+        return {"kind": "mlp", "layers": layers} | ({} if count is None else {"num_states": count})
     return None
+
+
+def _num_states(settings: Any) -> int | None:
+    """How many integers the world's observations are; None for real ones."""
+    return played(settings).world.num_states
 
 
 def described(settings: Sequence[Any], lanes: Mapping[tuple[int, int], Mapping[str, np.ndarray]]) -> dict[str, str]:
@@ -72,11 +84,11 @@ def described(settings: Sequence[Any], lanes: Mapping[tuple[int, int], Mapping[s
     return {"policies": json.dumps(about)}
 
 
-def load(weights: Mapping[str, np.ndarray], about: Mapping[str, str], config: int) -> SavedPolicy:
+def load(weights: Mapping[str, np.ndarray], about: Mapping[str, str], config: int, seed: int) -> SavedPolicy:
     """The policy of a lane's weights and the metadata of their file. Raises ValueError where nothing describes it."""
     described = json.loads(about.get("policies", "{}")).get(str(config))
-    if not weights or described is None:
-        raise ValueError(f"setting {config}: no policy is saved for it")
+    if not weights or not isinstance(described, dict):
+        raise ValueError(f"setting {config}, seed {seed}: no policy is saved for it")
     return SavedPolicy(described, weights)
 
 

@@ -27,6 +27,9 @@ class Readable(Protocol):
     def policy(self, config: int, seed: int) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         """A lane's final weights by name, and what describes them; both empty where it has none."""
 
+    def policies(self) -> set[tuple[int, int]]:
+        """The setting and seed of every lane whose policy was kept."""
+
 
 class Store(Readable, Protocol):
     """Rows and policies that a sweep adds to."""

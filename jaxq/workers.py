@@ -15,7 +15,8 @@ import jax
 import numpy as np
 
 from jaxq.executables import Executables
-from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED, Log
+from jaxq.experiment import Log
+from jaxq.rounds import RUNNING, STATUS
 from jaxq.shared import Ended, Shared
 from jaxq.slots import Stack, copied, row_of, with_rows
 from jaxq.tally import Books, Done, Lane, Result, Saved, Tally
@@ -24,8 +25,6 @@ from jaxq.types import Clock, Hypers, PyTree
 #: Ended lanes wait for company, so that a whole group is evaluated at once, but no longer than this where a segment
 #: is shorter.
 WAIT_SECONDS = 1.0
-
-STATUS = {SOLVED: "solved", FINISHED: "finished", DIVERGED: "diverged", RUNNING: "paused"}
 
 
 @dataclass

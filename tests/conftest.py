@@ -1,5 +1,5 @@
 """What every test shares: the command line's XLA settings, JAX's check that no key is used twice, and no cache of
-compiled programs unless a test makes one.
+compiled programs unless a test asks for one.
 """
 
 import importlib.util
@@ -30,6 +30,14 @@ def _compiled_programs_are_not_kept_for_ever():
     resident = Path("/proc/self/statm")
     if resident.exists() and int(resident.read_text().split()[1]) * os.sysconf("SC_PAGESIZE") > MUCH:
         jax.clear_caches()
+
+
+@pytest.fixture
+def programs_are_compiled_once(tmp_path_factory, monkeypatch):
+    """A cache of compiled programs that all who ask for it share, in every worker: nothing depends on it but time."""
+    own = tmp_path_factory.getbasetemp()
+    run = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+    monkeypatch.setenv("JAXQ_CACHE_DIR", str(run / "programs"))
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,8 @@ from jaxq import flags
 from jaxq.cli import main
 from jaxq.presets import preset
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 SHORT = ["--max-episodes", "60", "--success-steps", "30", "--success-streak", "2"]
 TINY = "--hidden 16 --batch-size 16 --learning-starts 32 --buffer-size 500 --max-env-steps 600".split()
 

@@ -1,4 +1,4 @@
-"""The page of the rules and its examples: what they say, compute and print is so."""
+"""The pages of the rules and of the environments, and the examples: what they say, compute and print is so."""
 
 import ast
 import importlib.util
@@ -112,8 +112,12 @@ def test_the_scan_learns_what_a_loop_learns_and_longer_traces_learn_faster(capsy
     assert last[1.0] > last[0.9]
 
 
-def test_every_block_of_the_page_runs_and_gives_what_its_comments_say():
-    blocks, names, checked = re.findall(r"```python\n(.+?)```", PAGE, re.DOTALL), {}, 0
+@pytest.mark.parametrize(
+    ("page", "blocks_at_least", "values_at_least"), [("rules", 8, 20), ("environments", 4, 6), ("neighbours", 2, 4)]
+)
+def test_every_block_of_a_page_runs_and_gives_what_its_comments_say(page, blocks_at_least, values_at_least):
+    text = (DOCS / f"{page}.md").read_text()
+    blocks, names, checked = re.findall(r"```python\n(.+?)```", text, re.DOTALL), {}, 0
     for block in blocks:
         lines = block.splitlines()
         with warnings.catch_warnings():
@@ -128,8 +132,8 @@ def test_every_block_of_the_page_runs_and_gives_what_its_comments_say():
                 assert comment, f"{source}: no comment says what it gives"
                 np.testing.assert_allclose(given, ast.literal_eval(comment[1]), rtol=1e-5, atol=1e-6, err_msg=source)
                 checked += 1
-    assert len(blocks) >= 8
-    assert checked >= 20
+    assert len(blocks) >= blocks_at_least
+    assert checked >= values_at_least
 
 
 def test_every_public_name_has_a_row_under_its_module_with_its_arguments():

@@ -9,7 +9,8 @@ import pytest
 from jaxq import experiment as module
 from jaxq import prng, success
 from jaxq.evaluation import greedy_returns
-from jaxq.experiment import DIVERGED, FINISHED, RUNNING, SOLVED, Limits, experiment
+from jaxq.experiment import experiment
+from jaxq.rounds import DIVERGED, FINISHED, RUNNING, SOLVED, Limits, Streams
 from jaxq.types import Hypers, Metrics
 
 
@@ -205,10 +206,10 @@ def test_no_seed_no_environment_and_no_step_shares_a_key(played):
     assert len(set(drawn.tolist())) == len(drawn)
 
 
-@pytest.mark.parametrize("stream", module._Streams._fields)
+@pytest.mark.parametrize("stream", Streams._fields)
 def test_evaluation_alone_draws_from_its_stream(played, monkeypatch, stream):
-    streams = module._streams
-    monkeypatch.setattr(module, "_streams", lambda *of: streams(*of)._replace(**{stream: prng.key(99)}))
+    streams = module.streams_of
+    monkeypatch.setattr(module, "streams_of", lambda *of: streams(*of)._replace(**{stream: prng.key(99)}))
     ((trained, evaluated),) = play(0)
     assert jax.tree.all(jax.tree.map(np.array_equal, trained, played[0][0])) == (stream == "evaluate")
     assert np.array_equal(evaluated, played[0][1]) == (stream != "evaluate")

@@ -12,8 +12,9 @@ import pytest
 from jaxq import executables, prng, programs, success, workers
 from jaxq import lanes as engine
 from jaxq.agents.dqn import DQNHypers
-from jaxq.experiment import Limits, Log, experiment
+from jaxq.experiment import Log, experiment
 from jaxq.plans import plan
+from jaxq.rounds import Limits
 from jaxq.tally import Lane
 from jaxq.types import Hypers
 

@@ -78,8 +78,7 @@ def test_the_tutorials_bootstrap_through_death_fails_where_a_termination_matters
     assert np.isclose(failed["value_only"][0][0], 1 / (1 - GAMMA), rtol=0.05)  # as if it never ended
 
 
-@pytest.mark.parametrize("parts", [{}, {"double": True}], ids=["dqn", "double dqn"])
-def test_networks_solve_every_probe(parts):
+def test_double_dqn_solves_every_probe():
     numbers = {"learning_rate": 0.01, "tau": 0.05, "epsilon_start": 0.5, "epsilon_end": 0.5, "weight_decay": 0.0}
     shapes = {"hidden": (16,), "batch_size": 32, "learning_starts": 32, "buffer_size": 1000, "clip": "none"}
-    assert wrong("article-dqn", any_one_hot, np.eye(2), **numbers, **shapes, **parts) == {}
+    assert wrong("article-dqn", any_one_hot, np.eye(2), **numbers, **shapes, double=True) == {}

@@ -72,7 +72,7 @@ def test_each_number_of_the_physics_is_gymnasiums_too(name):
 
 @pytest.mark.parametrize(("name", "value"), [("x_threshold", 0.05), ("theta_threshold_radians", 0.04)])
 def test_a_threshold_ends_an_episode_in_gymnasium_too(name, value):
-    starts = np.full((1, 4), 0.045)
+    starts = CartPoleState(*np.full((4, 1), 0.045), np.zeros(1, int))
     assert gymnasium.greedy_returns(CartPole(**{name: value}), TOWARDS, starts) < 20
     assert gymnasium.greedy_returns(CartPole(), TOWARDS, starts) == 500
 
@@ -83,10 +83,13 @@ def test_a_world_that_gymnasium_has_none_of_is_named():
 
 
 def test_starts_depend_on_neither_training_nor_evaluation_and_differ():
-    first, again = (replayed.play(linear(), 0, 0, episodes=5).starts for _ in range(2))
+    def starts(**how):
+        return np.stack(replayed.play(linear(), 0, 0, episodes=5, **how).starts[:4], -1)
+
+    first, again = (starts() for _ in range(2))
     np.testing.assert_array_equal(first, again)
     assert len(np.unique(first, axis=0)) == 5
-    assert not np.array_equal(first, replayed.play(linear(), 0, 0, episodes=5, root_seed=1).starts)
+    assert not np.array_equal(first, starts(root_seed=1))
 
 
 @pytest.mark.parametrize("truncates", [False, True])
@@ -96,7 +99,7 @@ def test_what_followed_is_the_discounted_return_beyond_a_truncation_and_not_beyo
     gamma, length, steps = 0.8, 7, 5
     env = probes.counter(length, truncates=truncates)
     made = programs.Played(env, env, agent=None)
-    monkeypatch.setattr(replayed, "_lane", lambda *lane, endless: (made, lambda obs: jnp.stack([obs, -obs]) * 1.0))
+    monkeypatch.setattr(replayed, "lane", lambda *lane, endless: (made, lambda obs: jnp.stack([obs, -obs]) * 1.0))
     sweep = SimpleNamespace(settings=lambda _: SimpleNamespace(gamma=gamma))
     found = replayed.follow(sweep, 0, 0, episodes=1, steps=steps)
     np.testing.assert_array_equal(found.predicted, range(steps))  # the counter's observation is its step

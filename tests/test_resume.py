@@ -77,12 +77,12 @@ def finish(start, path, whole):
     assert_same(path, whole)
 
 
-def test_a_run_that_is_killed_twenty_times_has_the_rows_of_an_undisturbed_one(start, whole, tmp_path):
+def test_a_run_that_is_killed_eight_times_has_the_rows_of_an_undisturbed_one(start, whole, tmp_path):
     """At random times: some while it starts, most among its writes."""
     path, rng, counts = tmp_path / "run", np.random.default_rng(0), []
-    for life in range(20):
+    for life in range(8):
         process = start(path, "--resume", "--quiet", command=OFTEN)
-        if life % 5:
+        if life % 4:
             more = len(list(path.glob("parts/*"))) + rng.integers(1, 12)
             while process.poll() is None and len(list(path.glob("parts/*"))) < more:
                 time.sleep(0.001)
@@ -94,7 +94,7 @@ def test_a_run_that_is_killed_twenty_times_has_the_rows_of_an_undisturbed_one(st
         assert (status, err) == (-signal.SIGKILL, "")
         counts.append(rows(path))
     assert counts == sorted(counts)
-    assert len(set(counts)) > 10
+    assert len(set(counts)) > 4
     assert 0 < counts[-1] < PLAN.lanes
     finish(start, path, whole)
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import jaxq
 from jaxq import programs, saved_policy, sweeps
-from jaxq.envs import cartpole
+from jaxq.envs import CartPoleState, cartpole
 from jaxq.interop.gymnasium import greedy_returns
 from jaxq.networks import mlp
 from jaxq.plans import plan
@@ -202,7 +202,7 @@ def test_what_was_not_saved_is_said():
     swept = jaxq.sweep("q-learning", max_episodes=3, eval_episodes=1)
     assert swept.policy(0, 0).weights["table"].shape == (18, 2)
     for config, seed in ((0, 1), (1, 0)):
-        with pytest.raises(ValueError, match=f"setting {config}: no policy is saved"):
+        with pytest.raises(ValueError, match=f"setting {config}, seed {seed}: no policy is saved"):
             swept.policy(config, seed)
 
 
@@ -244,6 +244,6 @@ def test_greedy_returns_are_those_of_a_loop_in_gymnasium(world):
             obs, _, fell, late, _ = env.step(int(obs[2] + obs[3] > 0))
             steps, over = steps + 1, fell or late
         wanted.append(-float(fell) if world.sutton_barto_reward else steps)
-    found = greedy_returns(world, policy, starts)
+    found = greedy_returns(world, policy, CartPoleState(*starts.T, np.zeros(len(starts), int)))
     assert found.tolist() == wanted
     assert len(set(wanted)) > 1

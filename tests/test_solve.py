@@ -15,8 +15,8 @@ import pytest
 from benchmarks import beside
 from jaxq import success, sweeps
 from jaxq.bench import solve, worker
-from jaxq.experiment import Limits
 from jaxq.presets import preset, settle
+from jaxq.rounds import Limits
 
 PEERS = Path(__file__).parent.parent / "benchmarks" / "peers"
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxq.experiment import Limits, Log
+from jaxq.experiment import Log
 from jaxq.programs import Program
+from jaxq.rounds import Limits
 from jaxq.tally import Lane, Tally
 from jaxq.types import Clock, Hypers
 
