@@ -21,7 +21,7 @@ from jaxq.envs import (
     stationary_distribution,
     value_iteration,
 )
-from jaxq.envs.mdp import check_distribution, check_mdp, cumulative, draw
+from jaxq.envs.mdp import MDPState, check_distribution, check_mdp, cumulative, draw
 from jaxq.types import Step
 from jaxq.worlds import FrozenLake, Taxi
 
@@ -227,6 +227,29 @@ def test_a_batch_of_mdps_steps_as_each_alone():
     for i, (mdp, key) in enumerate(zip(mdps, jax.random.split(jax.random.key(5), 4), strict=True)):
         alone = steps(mdp, int(limits[i]), key)
         jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[i], b), together, alone)  # noqa: B023
+
+
+@pytest.mark.parametrize("per_transition", [False, True])
+def test_few_successors_step_as_the_whole_tensor_does(per_transition):
+    """Known transitions with few successors keep those alone; traced ones keep all."""
+    mdp = some_mdp(1, num_states=40, branching=3)
+    if per_transition:
+        mdp = mdp._replace(reward=np.random.default_rng(0).normal(size=mdp.transition.shape))
+    cells = [x.ravel() for x in np.meshgrid(range(40), range(3), range(30), indexing="ij")]
+    keys = jax.random.key_data(jax.random.split(jax.random.key(3), len(cells[0])))
+
+    def steps(transition):
+        env = finite_mdp(transition, mdp.reward, mdp.start, terminal=mdp.terminal)
+
+        def one(words, s, a):
+            return env.step(jax.random.wrap_key_data(words), MDPState(s, jnp.int32(0)), a)
+
+        return jax.vmap(one)(keys, *map(jnp.asarray, cells[:2]))
+
+    few, whole = steps(mdp.transition), jax.jit(steps)(jnp.asarray(mdp.transition, jnp.float32))
+    jax.tree.map(np.testing.assert_array_equal, few, whole)
+    assert np.all(mdp.transition[*cells[:2], few[0].s] > 0)
+    assert len(np.unique(few[0].s)) == 40
 
 
 # Drawing an outcome

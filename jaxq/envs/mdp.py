@@ -52,7 +52,8 @@ def finite_mdp(
 
     Shapes: transition [S, A, S], reward [S, A] or [S, A, S], start [S], terminal [S] bool, max_episode_steps []. All
     may be traced. A reset and a step use one uniform number of their key each, and never enter a state of probability
-    0. Its resolution is that of the probabilities' dtype, so float32 takes one below 2^-23 for 0 or 2^-23.
+    0. Its resolution is that of the probabilities' dtype, so float32 takes one below 2^-23 for 0 or 2^-23. A step costs as
+    much as the successors that a state and action have at most, and S where the transitions are traced.
 
     Raises ValueError for a shape that does not fit, and, where the values are known, for what is not a distribution, a
     reward that is not finite, a start in a terminal state, and steps that are not a whole number from 1 on.
@@ -67,7 +68,8 @@ def finite_mdp(
     if max_episode_steps is not None:
         check_steps(max_episode_steps)
     rewards = jnp.asarray(reward, reward_dtype)
-    successors, starts = cumulative(transition), cumulative(start)
+    which, ends_of = _successors(transition)
+    starts = cumulative(start)
     ends = None if terminal is None else jnp.asarray(terminal)
 
     def reset(key: Key) -> MDPState:
@@ -77,13 +79,30 @@ def finite_mdp(
         return state.s
 
     def step(key: Key, state: MDPState, action: Array) -> tuple[MDPState, Step]:
-        after = MDPState(draw(key, successors[state.s, action]), state.t + 1)
+        k = draw(key, ends_of[state.s, action])
+        after = MDPState(k if which is None else which[state.s, action, k], state.t + 1)
         earned = rewards[state.s, action] if rewards.ndim == 2 else rewards[state.s, action, after.s]
         terminated = jnp.zeros((), bool) if ends is None else ends[after.s]
         truncated = jnp.zeros((), bool) if max_episode_steps is None else after.t >= jnp.asarray(max_episode_steps)
         return after, Step(observe(after), earned, terminated, truncated)
 
     return Env(reset, step, observe, num_actions=num_actions, obs_shape=(), num_states=num_states)
+
+
+def _successors(transition: ArrayLike) -> tuple[Array | None, Array]:
+    """The states that may follow, [S, A, K] int32 ascending, and ``cumulative`` of their probabilities.
+
+    K is how many there are at most, and what is left over has probability 0. None and [S, A, S] where all may follow or
+    the values are not known.
+    """
+    if not known(transition):
+        return None, cumulative(transition)
+    probabilities = np.asarray(transition)
+    most = int(np.max(np.sum(probabilities > 0, -1)))
+    if most == probabilities.shape[-1]:
+        return None, cumulative(transition)
+    which = np.argsort(probabilities <= 0, -1, kind="stable")[..., :most]
+    return jnp.asarray(which, jnp.int32), cumulative(np.take_along_axis(probabilities, which, -1))
 
 
 def random_mdp(
