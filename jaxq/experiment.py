@@ -7,6 +7,7 @@ the lane's key, never a typed key.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxq.envs.auto_reset import auto_reset
-from jaxq.evaluation import greedy_returns
+from jaxq.evaluation import greedy_returns, lasting, parted
 from jaxq.rounds import (
     Limits,
     Streams,
@@ -79,9 +80,9 @@ def experiment(
     the first round the agent acts, without learning, until ``warm_up_steps`` transitions less one round are stored, so
     that the first update sees at least ``warm_up_steps``. ``hypers.run`` is a Limits; ``impl`` is the family of the
     keys. Evaluation plays ``eval_episodes`` whole episodes, cut at ``eval_steps`` where an environment does not end
-    them itself. ``advance`` cannot be differentiated, and under ``vmap`` what the factories close over must not be
-    batched: numbers that differ between lanes come by ``hypers``. Raises ValueError for a count below 1
-    (``warm_up_steps`` below 0).
+    them itself; what outlives an episode goes on from the training of the first environment. ``advance`` cannot be
+    differentiated, and under ``vmap`` what the factories close over must not be batched: numbers that differ between
+    lanes come by ``hypers``. Raises ValueError for a count below 1 (``warm_up_steps`` below 0).
     """
     counts = {"rounds": rounds, "num_envs": num_envs, "steps_per_round": steps_per_round}
     counts |= {"eval_episodes": eval_episodes, "eval_steps": eval_steps, "warm_up_steps": warm_up_steps + 1}
@@ -183,10 +184,13 @@ def experiment(
         env = make_env(hypers.env)
         agent = make_agent(hypers.agent, env)
         streams = streams_of(jax.random.key_data(key), impl)
-        return greedy_returns(streams.evaluate, env, lambda obs: agent.q_values(policy, obs), eval_episodes, eval_steps)
+        learnt, before = parted(policy)
+        play = functools.partial(agent.q_values, learnt)
+        return greedy_returns(streams.evaluate, env, play, eval_episodes, eval_steps, before)
 
     def policy(state: LaneState, hypers: Hypers) -> Any:
-        return make(hypers)[1].policy(state.agent)
+        env, agent = make(hypers)
+        return lasting(env, agent.policy(state.agent), jax.tree.map(lambda leaf: leaf[0], state.env))
 
     return Experiment(init, advance, evaluate, policy)
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxq import frames, prng, replayed, run_files
+from jaxq.evaluation import begin
 from jaxq.frames import films
 from jaxq.frames.films import Shot
 from jaxq.frames.panel import Moment, Scale, beside, fitted
@@ -64,10 +65,10 @@ def play(
     and of how many. Raises ValueError where no policy was kept.
     """
     longest = min(max_steps, getattr(outcome.settings(config).env, "max_episode_steps", max_steps))
-    made, q_values = replayed.lane(outcome, config, seed)
+    made, q_values, before = replayed.lane(outcome, config, seed)
     step, reset, value = (
         jax.jit(made.env.step),
-        jax.jit(made.env.reset),
+        jax.jit(lambda key: begin(made.env, key, before)),
         jax.jit(lambda s: q_values(made.env.observe(s))),
     )
     found = []

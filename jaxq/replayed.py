@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxq import prng, programs
-from jaxq.evaluation import greedy_returns
-from jaxq.saved_policy import SavedPolicy
+from jaxq.evaluation import begin, greedy_returns
+from jaxq.saved_policy import SavedPolicy, lasting_state, learnt
 from jaxq.types import Array, Key
 
 
@@ -33,6 +33,16 @@ class Played(NamedTuple):
     returns: np.ndarray
 
 
+class LanePlayed(NamedTuple):
+    """What plays a lane's policy, its action values as a function that can be traced, and the environment's state in
+    which the training ended, where something of that outlives an episode.
+    """
+
+    made: Any
+    q_values: Callable[[Array], Array]
+    before: Any
+
+
 class Followed(NamedTuple):
     """States along greedy episodes: the largest action value there, and the discounted return that followed. [n]"""
 
@@ -45,17 +55,17 @@ def play(outcome: Trained, config: int, seed: int, episodes: int, root_seed: int
 
     Raises ValueError where no policy was kept.
     """
-    made, q_values = lane(outcome, config, seed)
+    made, q_values, before = lane(outcome, config, seed)
 
     def key() -> Key:  # made twice: an episode consumes what its start is told by
         return jax.random.fold_in(prng.key(root_seed, "threefry"), 0)
 
     def start(key: Array) -> Any:  # where an episode of this key begins
-        return made.world.reset(jax.random.split(key)[0])
+        return begin(made.world, jax.random.split(key)[0], before)
 
     starts = jax.vmap(start)(jax.random.split(key(), episodes))
     limit = outcome.settings(config).env.eval_steps
-    run = jax.jit(lambda key: greedy_returns(key, made.env, q_values, episodes, limit))
+    run = jax.jit(lambda key: greedy_returns(key, made.env, q_values, episodes, limit, before))
     return Played(jax.tree.map(np.asarray, starts), np.asarray(run(key())))
 
 
@@ -70,7 +80,7 @@ def follow(outcome: Trained, config: int, seed: int, episodes: int = 20, steps: 
     gamma = float(settings.gamma)
     beyond = math.ceil(math.log(0.01) / math.log(gamma)) if 0 < gamma < 1 else 1 if gamma == 0 else 10 * steps
     beyond = min(beyond, 20_000)
-    made, q_values = lane(outcome, config, seed, endless=True)
+    made, q_values, before = lane(outcome, config, seed, endless=True)
     env = made.env
 
     def one(key: Array) -> tuple[Array, Array, Array]:
@@ -83,7 +93,7 @@ def follow(outcome: Trained, config: int, seed: int, episodes: int = 20, steps: 
             row = jnp.max(q), happened.reward * live, live
             return (state, live * (1.0 - happened.terminated)), row
 
-        start = env.reset(reset_key), jnp.ones(())
+        start = begin(env, reset_key, before), jnp.ones(())
         return jax.lax.scan(body, start, jnp.arange(steps + beyond))[1]
 
     keys = jax.random.split(jax.random.fold_in(prng.key(0, "threefry"), 1), episodes)
@@ -97,8 +107,8 @@ def follow(outcome: Trained, config: int, seed: int, episodes: int = 20, steps: 
     return Followed(predicted[:, :steps][seen], returns[:, :steps][seen])
 
 
-def lane(outcome: Trained, config: int, seed: int, endless: bool = False) -> tuple[Any, Callable[[Array], Array]]:
-    """What plays a lane's policy, and its action values as a function that can be traced.
+def lane(outcome: Trained, config: int, seed: int, endless: bool = False) -> LanePlayed:
+    """What plays a lane's policy.
 
     Raises ValueError where no policy was kept.
     """
@@ -108,7 +118,9 @@ def lane(outcome: Trained, config: int, seed: int, endless: bool = False) -> tup
         settings = settings.model_copy(update={"env": world})
     weights = outcome.policy(config, seed).weights
     made = programs.played(settings)
-    return made, lambda obs: made.agent.q_values(_tree(weights), obs)
+    before = lasting_state(weights, jax.eval_shape(made.env.reset, jax.random.key(0)))
+    tree = _tree(learnt(weights))
+    return LanePlayed(made, lambda obs: made.agent.q_values(tree, obs), before)
 
 
 def _tree(weights: Any) -> Any:

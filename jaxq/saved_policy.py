@@ -5,7 +5,8 @@ setting's index: ``{"kind": "mlp", "layers": ["params.Linear_0", ...]}``, each l
 and b its ``.bias`` and ReLU between them (with ``"num_states": n`` the first one's x is 1 at the observation's place of
 n, else 0); or ``{"kind": "table", "edges": [[...], ...]}``, the row of ``table`` being
 the flat index (C order) of how many edges each coordinate has reached, or the observation itself without edges.
-Integers that begin elsewhere than at 0 have ``first_state`` and ``first_action`` as well.
+Integers that begin elsewhere than at 0 have ``first_state`` and ``first_action`` as well. What outlives the episodes of
+an environment, as running statistics do, stands beside the weights: the leaves of its state, by path after ``env``.
 """
 
 from __future__ import annotations
@@ -15,10 +16,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jaxq.evaluation import parted
 from jaxq.presets import DQNSettings, TabularSettings
 from jaxq.programs import hypers, played
+from jaxq.types import PyTree
+
+#: What the names of the environment's leaves begin with.
+ENV = "env"
 
 
 @dataclass(frozen=True)
@@ -29,7 +37,7 @@ class SavedPolicy:
     weights: Mapping[str, np.ndarray]
 
     def q_values(self, obs: np.ndarray) -> np.ndarray:
-        """Action values of observations. Shapes: obs [n, ...] -> [n, A]."""
+        """Action values of observations, as the environment gives them. Shapes: obs [n, ...] -> [n, A]."""
         obs = np.asarray(obs)
         if "first_state" in self.about:
             obs = obs.astype(int) - self.about["first_state"]
@@ -94,7 +102,25 @@ def load(weights: Mapping[str, np.ndarray], about: Mapping[str, str], config: in
 
 def flatten(policy: Any, alone: str = "table") -> dict[str, np.ndarray]:
     """A tree's arrays by path, as ``params.Linear_0.kernel`` of a network; an array alone has the name ``alone``."""
-    return {name or alone: array for name, array in _paths(policy)}
+    weights, state = parted(policy)
+    beside = {} if state is None else _leaves(state)
+    return {name or alone: array for name, array in _paths(weights)} | beside
+
+
+def learnt(weights: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The weights without the environment's state that may stand beside them."""
+    return {name: array for name, array in weights.items() if not name.startswith(ENV)}
+
+
+def lasting_state(weights: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
+    """The environment's state that stands beside the weights, with the structure of ``like``; None where none does."""
+    if len(learnt(weights)) == len(weights):
+        return None
+    return jax.tree.unflatten(jax.tree.structure(like), [jnp.asarray(weights[name]) for name in _leaves(like)])
+
+
+def _leaves(state: PyTree) -> dict[str, Any]:
+    return {ENV + jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(state)}
 
 
 def _paths(tree: Any) -> Iterable[tuple[str, np.ndarray]]:

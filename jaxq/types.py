@@ -140,7 +140,7 @@ class Experiment:
 
     ``init(key, hypers) -> (state, log)``, warm-up included; ``advance(state, hypers) -> (state, log)`` runs one segment
     of fixed length; ``evaluate(key, policy, hypers) -> [episodes]`` returns of whole greedy episodes.
-    ``policy(state, hypers)`` is the part of the state that acting greedily needs.
+    ``policy(state, hypers)`` is the part of the state that acting greedily needs, that of the environment included.
     """
 
     init: Callable[[Key, Hypers], tuple[PyTree, PyTree]]

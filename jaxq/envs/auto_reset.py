@@ -34,7 +34,8 @@ def auto_reset(env: Env) -> Env:
 def check_ends(env: Env, wrapper: str) -> None:
     """Raises ValueError for an environment whose episodes begin anew by themselves, which a wrapper would not see."""
     if env.resets:
-        raise ValueError(f"env: one that resets by itself is not allowed: auto_reset goes around {wrapper}")
+        why = "" if wrapper == "auto_reset" else f": auto_reset goes around {wrapper}"
+        raise ValueError(f"env: one that resets by itself is not allowed{why}")
 
 
 def next_episode(env: Env, key: Key, state: Any) -> Any:

@@ -1,8 +1,9 @@
 """Normalise: observations of mean 0 and variance 1, and rewards on the scale of the discounted return.
 
 The statistics run along in the state and outlive an episode, as in Gymnasium's ``NormalizeObservation`` and
-``NormalizeReward``, whose numbers these are. A fresh ``reset`` begins with none: to evaluate a policy, give the
-statistics that it was trained with, and hold them: ``normalise_observation(env, moments=state.moments, update=False)``.
+``NormalizeReward``, whose numbers these are. A fresh ``reset`` begins with none, ``restart`` goes on from a state's, as
+a sweep's greedy episodes do. To hold them, give them: ``normalise_observation(env, moments=state.moments,
+update=False)``. Under ``vmap`` each environment has its own.
 """
 
 from __future__ import annotations
