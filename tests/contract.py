@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxq.envs import auto_reset
+from jaxq.envs.auto_reset import next_episode
 
 STEPS = 300
 
@@ -18,21 +18,30 @@ def words(seed, count):
 
 @functools.lru_cache(maxsize=2)  # several checks look at one walk
 def roll(env, seed=0, steps=STEPS):
-    """A random walk with auto-reset: observations, actions, Steps and the states after them, [steps, ...]."""
-    inner = env if env.resets else auto_reset(env)
+    """A random walk over several episodes: Steps, what is observed of the states after them, and those that the walk
+    went on from, [steps, ...].
+    """
 
     @jax.jit
     def walk(first, each):
         def body(state, pair):
-            choose, act = jax.random.split(jax.random.wrap_key_data(pair))
-            action = jax.random.randint(choose, (), 0, env.num_actions)
-            after, happened = inner.step(act, state, action)
-            return after, (env.observe(state), action, happened, after)
+            choose, act, again = jax.random.split(jax.random.wrap_key_data(pair), 3)
+            after, happened = env.step(act, state, jax.random.randint(choose, (), 0, env.num_actions))
+            seen, on = env.observe(after), after
+            if not env.resets:
+                over, fresh = happened.terminated | happened.truncated, next_episode(env, again, after)
+                on = jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, after)
+            return on, (happened, seen, on)
 
         return jax.lax.scan(body, env.reset(jax.random.wrap_key_data(first)), each)[1]
 
     rows = words(seed, steps + 1)
     return walk(rows[0], rows[1:])
+
+
+def episodes_end(env):
+    happened, _, _ = roll(env)
+    assert np.any(happened.terminated | happened.truncated), "no episode ended: the walk is too short to see one"
 
 
 def shapes_and_dtypes_are_stable(env):
@@ -55,28 +64,26 @@ def shapes_and_dtypes_are_stable(env):
 
 
 def a_walk_is_finite_and_in_range(env):
-    obs, _, happened, _ = roll(env)
-    for name, leaf in (("observation", obs), ("successor", happened.obs), ("reward", happened.reward)):
+    happened, seen, _ = roll(env)
+    for name, leaf in (("observation", seen), ("successor", happened.obs), ("reward", happened.reward)):
         assert np.all(np.isfinite(np.asarray(leaf))), f"a {name} is not finite"
     if env.num_states is not None:
         assert 0 <= np.min(happened.obs) <= np.max(happened.obs) < env.num_states, "an index outside num_states"
 
 
 def the_true_successor_is_kept(env):
-    """Within an episode ``observe`` of the next state is the Step's observation; after its end it need not be."""
-    obs, _, happened, _ = roll(env)
+    """The Step's observation is that of the state which the step leads to, at an episode's end as well."""
+    happened, seen, _ = roll(env)
     over = np.asarray(happened.terminated | happened.truncated)
-    successors, nexts = np.asarray(happened.obs)[:-1], np.asarray(obs)[1:]
-    same = np.all((successors == nexts).reshape(len(nexts), -1), 1)
-    close = np.all(np.isclose(successors, nexts, rtol=1e-5, atol=1e-5).reshape(len(nexts), -1), 1)
-    assert np.all((same | close)[~over[:-1]]), "observe(state) is not the observation of the step that led there"
+    close = np.isclose(happened.obs, seen, rtol=1e-5, atol=1e-5).reshape(len(over), -1).all(1)
+    # Who resets shows the next episode's first observation beside the last one's successor.
+    assert np.all(close | over if env.resets else close), "observe(state) is not that of the step that led there"
 
 
 def an_ended_episode_gives_way_to_a_start(env):
     """States after an end are among those that ``reset`` or ``restart`` can give: time starts anew."""
-    _, _, happened, afters = roll(env)
+    happened, _, afters = roll(env)
     over = np.asarray(happened.terminated | happened.truncated)
-    assert over.any(), "no episode ended: the walk is too short to see"
     start = env.reset(jax.random.key(3))
     for path, leaf in jax.tree_util.tree_leaves_with_path(afters):
         if jax.tree_util.keystr(path).endswith(".t"):
@@ -90,7 +97,7 @@ def a_reset_depends_on_its_key_alone(env):
 
 
 def several_starts_differ(env):
-    starts = jax.vmap(lambda key: env.observe(env.reset(key)))(jax.random.split(jax.random.key(0), 64))
+    starts = jax.jit(jax.vmap(lambda key: env.observe(env.reset(key))))(jax.random.split(jax.random.key(0), 64))
     assert len(np.unique(np.asarray(starts).reshape(64, -1), axis=0)) > 1, "every key gives the same start"
 
 
@@ -98,13 +105,16 @@ def a_deterministic_step_does_not_use_its_key(env):
     if not env.deterministic:
         return
     state = env.reset(jax.random.key(2))
-    outcomes = jax.vmap(lambda key: env.step(key, state, jnp.int32(0)))(jax.random.split(jax.random.key(0), 16))
+    outcomes = jax.jit(jax.vmap(lambda key: env.step(key, state, jnp.int32(0))))(
+        jax.random.split(jax.random.key(0), 16)
+    )
     for leaf in jax.tree.leaves(outcomes):
         assert np.all(np.asarray(leaf) == np.asarray(leaf)[:1]), "deterministic, but step depends on its key"
 
 
 def a_batch_is_each_alone(env):
-    count = 5
+    """A compiled batch gives what the functions give as they are written, one at a time."""
+    count = 4
     starts, steps = words(4, count), words(5, count)
     actions = jnp.arange(count) % env.num_actions
 
@@ -113,20 +123,16 @@ def a_batch_is_each_alone(env):
         return env.step(jax.random.wrap_key_data(step), state, action)
 
     batch = jax.jit(jax.vmap(one))(starts, steps, actions)
-    single = jax.jit(one)
     for i in range(count):
-        alone, lane = single(starts[i], steps[i], actions[i]), jax.tree.map(lambda leaf, i=i: leaf[i], batch)
-        for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(lane), strict=True):
-            np.testing.assert_allclose(a, b, rtol=2e-6, atol=2e-6, err_msg="vmap is not the loop")
-    eager = one(starts[0], steps[0], actions[0])
-    for a, b in zip(jax.tree.leaves(eager), jax.tree.leaves(batch), strict=True):
-        np.testing.assert_allclose(a, b[0], rtol=2e-6, atol=2e-6, err_msg="jit is not the function itself")
+        for a, b in zip(jax.tree.leaves(one(starts[i], steps[i], actions[i])), jax.tree.leaves(batch), strict=True):
+            np.testing.assert_allclose(a, b[i], rtol=2e-6, atol=2e-6, err_msg="vmap and jit are not the loop")
 
 
 CHECKS = (
     shapes_and_dtypes_are_stable,
     a_walk_is_finite_and_in_range,
     the_true_successor_is_kept,
+    an_ended_episode_gives_way_to_a_start,
     a_reset_depends_on_its_key_alone,
     a_deterministic_step_does_not_use_its_key,
     a_batch_is_each_alone,
