@@ -52,8 +52,8 @@ def finite_mdp(
 
     Shapes: transition [S, A, S], reward [S, A] or [S, A, S], start [S], terminal [S] bool, max_episode_steps []. All
     may be traced. A reset and a step use one uniform number of their key each, and never enter a state of probability
-    0. Its resolution is that of the probabilities' dtype, so float32 takes one below 2^-23 for 0 or 2^-23. A step costs as
-    much as the successors that a state and action have at most, and S where the transitions are traced.
+    0. Its resolution is that of the probabilities' dtype, so float32 takes one below 2^-23 for 0 or 2^-23. A step costs
+    as many operations as a state and action have successors at most, or S where the transitions are traced.
 
     Raises ValueError for a shape that does not fit, and, where the values are known, for what is not a distribution, a
     reward that is not finite, a start in a terminal state, and steps that are not a whole number from 1 on.
