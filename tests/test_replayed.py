@@ -99,7 +99,8 @@ def test_what_followed_is_the_discounted_return_beyond_a_truncation_and_not_beyo
     gamma, length, steps = 0.8, 7, 5
     env = probes.counter(length, truncates=truncates)
     made = programs.Played(env, env, agent=None)
-    monkeypatch.setattr(replayed, "lane", lambda *lane, endless: (made, lambda obs: jnp.stack([obs, -obs]) * 1.0))
+    played = replayed.LanePlayed(made, lambda obs: jnp.stack([obs, -obs]) * 1.0, None)
+    monkeypatch.setattr(replayed, "lane", lambda *lane, endless: played)
     sweep = SimpleNamespace(settings=lambda _: SimpleNamespace(gamma=gamma))
     found = replayed.follow(sweep, 0, 0, episodes=1, steps=steps)
     np.testing.assert_array_equal(found.predicted, range(steps))  # the counter's observation is its step
