@@ -23,9 +23,8 @@ CAPTION = (
 def arguments(parser: argparse.ArgumentParser) -> None:
     """The flags of the command."""
     parser.add_argument("directory", type=flags.directory, metavar="DIR", help="run directory")
-    parser.add_argument(
-        "--env", action=Once, default="pure", help="pure (default), or gymnasium as well", metavar="WHERE"
-    )
+    where = f"pure (default), or gymnasium as well; {flags.OWN}"
+    parser.add_argument("--env", action=Once, default="pure", help=where, metavar="WHERE|MODULE:FUNCTION")
     parser.add_argument("--config", action=Once, type=whole, default=None, help="this setting's lanes", metavar="I")
     parser.add_argument("--seed", action=Once, type=whole, default=None, help="lanes of this seed index", metavar="S")
     parser.add_argument("--all", action="store_true", help="every lane (default the one of greatest greedy return)")
@@ -38,7 +37,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plays the chosen lanes and prints a row each; returns the exit status. Raises UsageError."""
-    if options.env not in WHERE:
+    if options.env not in WHERE and ":" not in options.env:
         raise UsageError(f"--env: {options.env!r} is unknown{nearest(options.env, WHERE)}")
     if not 1 <= options.episodes <= 100_000:
         raise UsageError(f"--episodes: {options.episodes} is not allowed: from 1 to 100000")
@@ -52,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     from jaxq.streams import encodes
 
     try:
-        outcome = load(options.directory)
+        outcome = load(options.directory, None if options.env in WHERE else flags.own(options.env))
         lanes = chosen(outcome, options)
         show = not options.quiet and sys.stderr.isatty()
         watched = track(lanes, "evaluating", console=Console(stderr=True), transient=True, disable=not show)

@@ -36,6 +36,7 @@ class Played(NamedTuple):
 def episode_arguments(parser: argparse.ArgumentParser) -> None:
     """The flags that say which episodes."""
     parser.add_argument("directory", type=flags.directory, metavar="DIR", help="run directory")
+    parser.add_argument("--env", action=Once, default=None, help=flags.OWN, metavar="MODULE:FUNCTION")
     parser.add_argument("--config", action=Once, type=whole, default=None, help="this setting's lane", metavar="I")
     parser.add_argument("--seed", action=Once, type=whole, default=None, help="lane of this seed index", metavar="S")
     parser.add_argument("--episodes", action=Once, type=whole, default=1, help="episodes (default 1)", metavar="N")
@@ -64,7 +65,7 @@ def played(options: argparse.Namespace, tell: Callable[[float, int], None] = lam
     from jaxq.outcome import load
 
     try:
-        outcome = load(options.directory)
+        outcome = load(options.directory, None if options.env is None else flags.own(options.env))
         lane = best(chosen(outcome, options))
         config, seed = lane["config"], lane["seed"]
         episodes = recording.play(outcome, config, seed, options.episodes, options.max_steps, tell)

@@ -6,14 +6,14 @@ import argparse
 import contextlib
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
 from pydantic.fields import FieldInfo
 
-from jaxq import __version__, worlds
+from jaxq import __version__, cpu, sources, worlds
 from jaxq.axes import METHODS, SAMPLES, Range
 from jaxq.presets import Preset, listed
 from jaxq.settings import NO_LIMIT
@@ -33,6 +33,8 @@ COMMANDS = {
 }
 
 
+#: What tells where the function is that a run directory cannot hold.
+OWN = "the function that made the run's environment, where that is of your own"
 #: Seeds of a sweep that does not say how many.
 SEEDS = 10
 
@@ -151,7 +153,8 @@ def parser(command: str, chosen: Preset, env: World) -> argparse.ArgumentParser:
     run.add_argument("--dry-run", action="store_true", help="say what would run, and stop")
     output_flags(run)
     environment = made.add_argument_group("environment")
-    environment.add_argument("--env", action=Once, default=None, help=f"environment (default {env})", metavar="ID")
+    text = f"environment, or a function of your own that makes one (default {env})"
+    environment.add_argument("--env", action=Once, default=None, help=text, metavar="ID|MODULE:FUNCTION")
     settings = chosen.settings.model_copy(update={"env": env})
     numbers = made.add_argument_group("hyperparameters")
     shapes = made.add_argument_group("structure (each combination is compiled once)")
@@ -201,16 +204,33 @@ def output_flags(run: Any) -> None:
 def parse(command: str, chosen: Preset, words: list[str], env: str | World | None = None) -> argparse.Namespace:
     """The options of a command. Raises UsageError, with the nearest known flag, for what it does not know.
 
-    ``env`` is the environment that a file asks for; ``--env`` goes before it, and decides which flags there are.
+    ``env`` is the environment that a file asks for; ``--env`` goes before it, and decides which flags there are. A name
+    with a colon is a function of the user's own, which is imported.
     """
     scout = Parser(add_help=False, allow_abbrev=False)
     scout.add_argument("--env", default=None)
     try:
         named, _ = scout.parse_known_args(words)
-        env = worlds.world(named.env or env or chosen.settings.env)
+        wanted = named.env or env or chosen.settings.env
+        env = worlds.world(own(wanted) if isinstance(wanted, str) and ":" in wanted else wanted)
     except ValueError as error:
         raise UsageError(str(error)) from None
-    return read(parser(command, chosen, env), words, f"jaxq {command} {chosen.name}")
+    options = read(parser(command, chosen, env), words, f"jaxq {command} {chosen.name}")
+    if env.factory is not None:
+        options.env = env
+    return options
+
+
+def own(name: str) -> Callable[..., Any]:
+    """The user's own function that makes an environment, of a name as ``module:function``. Raises ValueError."""
+    cpu.tune()  # before the module imports jax
+    try:
+        make_env = sources.imported(name)
+    except ValueError as error:
+        raise ValueError(f"env: {error}") from None
+    if not callable(make_env):
+        raise ValueError(f"env: {name} is not allowed: a function that makes a jaxq.types.Env")
+    return make_env
 
 
 def read(made: argparse.ArgumentParser, words: Sequence[str], what: str) -> argparse.Namespace:

@@ -144,7 +144,8 @@ class Outcome:
             raise ValueError(f"preset: this run was made with {self.spec['preset']!r}, {held}")
         if given["env"] not in WORLDS:
             if self.world is None:
-                raise ValueError(f"env: this run was made with {given['env']!r}, {held}: see jaxq.load(DIR, env=...)")
+                where = "give it, as --env MODULE:FUNCTION or jaxq.load(DIR, env=...)"
+                raise ValueError(f"env: this run was made with {given['env']!r}, {held}: {where}")
             given["env"] = self.world
         return settle(preset(self.spec["preset"]), **given)
 

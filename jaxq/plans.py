@@ -131,6 +131,7 @@ def plan(
         halving=halving,
         rungs=rungs,
     )
+    worlds.check(one.env for one in made.settings)
     if halving is not None and any(min(one.max_env_steps, one.max_episodes) >= NO_LIMIT for one in made.settings):
         raise ValueError(f"halving: {halving} is not allowed without a limit, max_env_steps or max_episodes")
     return made

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxq import networks, success
+from jaxq import networks, success, worlds
 from jaxq.agents.dqn import DQNHypers, dqn
 from jaxq.agents.tabular import TabularHypers, tabular
 from jaxq.envs import discretise, registered, tutorial_edges
@@ -205,15 +205,7 @@ def world_env(world: World) -> Callable[[Any], Env]:
     if world.factory is None:
         factory, _ = registered(world.id)
         return lambda numbers: factory(numbers, **options)
-    own = world.factory
-
-    def make(numbers: Any) -> Env:
-        env = own(**numbers, **options)
-        if not isinstance(env, Env):
-            raise ValueError(f"env: {world} made {env!r}, which is no jaxq.types.Env")
-        return env
-
-    return make
+    return lambda numbers: worlds.made(world, {**numbers, **options})
 
 
 def world_numbers(world: World) -> Any:

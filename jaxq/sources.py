@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib
 import inspect
+import sys
+import traceback
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from jaxq.suggest import nearest
 
 
 def digest(function: Callable[..., Any]) -> str | None:
@@ -24,6 +30,35 @@ def digest(function: Callable[..., Any]) -> str | None:
     for part in _parts(function, set()):
         found.update(part + b"\0")
     return found.hexdigest()
+
+
+def imported(name: str) -> Any:
+    """What a name as ``package.module:function`` stands for, looked for in the working directory as well.
+
+    Raises ValueError where there is no such thing, and for a module that cannot be imported.
+    """
+    module, _, inside = name.partition(":")
+    if not all(part.isidentifier() for part in (*module.split("."), *inside.split("."))):
+        raise ValueError(f"{name!r} is not allowed: MODULE:FUNCTION")
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        found = importlib.import_module(module)
+    except Exception as error:  # whatever the module does
+        raise ValueError(f"{module} cannot be imported: {raised(error)}") from None
+    finally:
+        sys.path.remove(here)
+    try:
+        return functools.reduce(getattr, inside.split("."), found)
+    except AttributeError:
+        raise ValueError(f"{inside!r} is unknown in {module}{nearest(inside, dir(found))}") from None
+
+
+def raised(error: Exception) -> str:
+    """A line of what code of the user's own raised: the kind, the message, and where."""
+    *_, last = traceback.extract_tb(error.__traceback__)
+    where = "" if last.filename.startswith("<") else f" ({Path(last.filename).name}, line {last.lineno})"
+    return " ".join(f"{type(error).__name__}: {error}{where}".split())
 
 
 def written(function: Any) -> Any:

@@ -13,8 +13,8 @@ PACKAGE = Path(__file__).parent.parent / "jaxq"
 #: Each module may import from lower rows only; modules of one row do not know each other unless listed together in
 #: a pair below.
 LAYERS = [
-    ["types", "families", "suggest", "cpu", "machine", "run_files", "streams", "exits", "sources", "bench.worker"],
-    ["bench.contest", "bench.report", "bench.memory", "bench.affinity", "bench"],
+    ["types", "families", "suggest", "cpu", "machine", "run_files", "streams", "exits", "bench.worker"],
+    ["bench.contest", "bench.report", "bench.memory", "bench.affinity", "bench", "sources"],
     ["settings", "axes", "table_parts"],
     ["worlds.world"],
     ["worlds.classic", "worlds.toy_text"],
@@ -49,9 +49,8 @@ LAYERS = [
         "replay",
         "success",
         "plans",
-        "evaluation",
     ],
-    ["envs.solutions", "envs.outcomes", "envs.two_states"],
+    ["envs.solutions", "envs.outcomes", "envs.two_states", "evaluation"],
     [
         "envs.discretise",
         "envs.frame_history",

@@ -105,7 +105,7 @@ def test_an_environment_of_ones_own_is_handed_in_to_play_its_policies_again(tmp_
     assert again.settings(1).flat() == runs.settings(1).flat()
     np.testing.assert_array_equal(replayed.play(again, 1, 0, 5).returns, wanted)
     assert isinstance(again.plot("overestimation"), Figure)
-    said = r"env: this run was made with '.*make_env', a function of your own, which no directory holds"
+    said = r"env: this run was made with '.*make_env', a function of your own, .* give it, as --env MODULE:FUNCTION"
     with pytest.raises(ValueError, match=said):
         jaxq.load(path).plot("action_values")
     assert main(["evaluate", str(path)]) == 2

@@ -10,7 +10,7 @@ import tomli_w
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from jaxq import functions, sweep_files
+from jaxq import envs, functions, sweep_files
 from jaxq.axes import Range
 from jaxq.cli import main
 from jaxq.plans import plan
@@ -142,7 +142,7 @@ def test_a_file_that_people_write_is_the_plan_of_the_same_words(file):
 
 
 def own_world(length=0.5):
-    raise NotImplementedError
+    return envs.make("CartPole-v1", length=length)
 
 
 def test_what_no_file_can_say_is_refused():

@@ -6,7 +6,7 @@ A *world* says which environment a lane lives in; ``envs`` makes the environment
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from pydantic import create_model
@@ -29,7 +29,9 @@ __all__ = [
     "Pendulum",
     "Taxi",
     "World",
+    "check",
     "listed",
+    "made",
     "world",
 ]
 
@@ -52,6 +54,34 @@ def world(chosen: str | World | Callable[..., Any]) -> World:
     if not isinstance(chosen, str) or chosen not in WORLDS:
         raise ValueError(f"env: {chosen!r} is unknown{nearest(str(chosen), WORLDS)}")
     return WORLDS[chosen]()
+
+
+def made(world: World, values: Mapping[str, Any]) -> Any:
+    """The environment of a world of the user's own. Raises ValueError where the function makes no ``Env``."""
+    from jaxq.types import Env
+
+    env = world.factory(**values) if world.factory is not None else None
+    if not isinstance(env, Env):
+        raise ValueError(f"env: {world} made {type(env).__name__}, which is no jaxq.types.Env")
+    return env
+
+
+def check(some: Iterable[World]) -> None:
+    """Makes every environment of the user's own once, so that what a function refuses is known before a run begins.
+
+    Raises ValueError for what a function raises, and where it makes no ``Env``.
+    """
+    seen = set()
+    for one in some:
+        values = one.flat()
+        if one.factory is None or (place := tuple(values.items())) in seen:
+            continue
+        seen.add(place)
+        try:
+            made(one, values)
+        except Exception as error:  # whatever the function does
+            known = isinstance(error, ValueError)
+            raise ValueError(str(error) if known else f"env: {one} raised {sources.raised(error)}") from error
 
 
 def listed() -> str:

@@ -1,0 +1,107 @@
+"""An environment of one's own on the command line: a function is named, imported, and tried before a run begins."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+import jaxq
+from jaxq import envs, sources
+from jaxq.cli import main
+from jaxq.plans import plan
+
+MODULE = """
+from jaxq import envs
+
+def hill(force=0.001, steps=30):
+    return envs.time_limit(envs.make("MountainCar-v0", force=force), steps)
+
+def broken(x=1):
+    raise RuntimeError("not\\ntoday")
+
+def needs(x):
+    return hill()
+
+class inside:
+    walk = hill
+
+number = 3
+"""
+SMALL = "--max-env-steps 400 --learning-starts 128 --hidden 8 --seeds 2 --quiet".split()
+
+
+@pytest.fixture(autouse=True)
+def somewhere(tmp_path, monkeypatch, programs_are_compiled_once):
+    monkeypatch.chdir(tmp_path)
+    Path("hills.py").write_text(MODULE)
+    Path("torn.py").write_text("1 +")
+    yield
+    for name in ("hills", "torn"):
+        sys.modules.pop(name, None)
+
+
+def test_a_named_function_is_swept_resumed_played_and_filmed(capsys):
+    words = ["sweep", "dqn", "--env", "hills:hill", "--env.force", "0.001", "0.002", *SMALL, "--out", "run"]
+    assert main([*words, "--json"]) == 0
+    lanes = json.loads(capsys.readouterr().out)["lanes"]
+    assert [row["env.force"] for row in lanes] == [0.001, 0.001, 0.002, 0.002]
+    assert [row["final_return"] for row in lanes] == [-30] * 4
+    hill = sources.imported("hills:hill")
+    same = jaxq.sweep(
+        "dqn", env=hill, seeds=2, max_env_steps=400, learning_starts=128, hidden=(8,), **{"env.force": [0.001, 0.002]}
+    )
+    assert same.lanes["eval_return"].to_pylist() == [row["eval_return"] for row in lanes]
+    assert main([*words, "--resume"]) == 0
+    assert main(["evaluate", "run", "--env", "hills:hill", "--episodes", "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])[0]["pure"] == -30
+    assert main(["record", "run", "--env", "hills:hill", "--max-steps", "5", "--quiet"]) == 0
+    assert Path("run/record.gif").read_bytes().startswith(b"GIF89a")
+    for command in ("evaluate", "record"):
+        assert main([command, "run"]) == 2
+        assert "give it, as --env MODULE:FUNCTION" in capsys.readouterr().err
+        assert main([command, "run", "--env", "hills:inside.walk"]) == 0
+
+
+def test_a_sweep_file_names_a_function_too(capsys):
+    Path("sweep.toml").write_text('preset = "q-learning"\nenv = "jaxq.envs:two_states"\nseeds = 3\n')
+    assert main(["sweep", "sweep.toml", "--dry-run"]) == 0
+    assert "1 setting x 3 seeds = 3 lanes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("hills:hll", "env: 'hll' is unknown in hills; did you mean 'hill'?"),
+        ("hils:hill", "env: hils cannot be imported: ModuleNotFoundError: No module named 'hils'"),
+        ("torn:hill", "env: torn cannot be imported: SyntaxError: invalid syntax (torn.py, line 1)"),
+        ("hills:", "env: 'hills:' is not allowed: MODULE:FUNCTION"),
+        ("./hills.py:hill", "env: './hills.py:hill' is not allowed: MODULE:FUNCTION"),
+        ("hills:number", "env: hills:number is not allowed: a function that makes a jaxq.types.Env"),
+        ("hills:needs", "env: every parameter of needs must have a name and a default, not 'x'"),
+        ("hills:broken", "env: hills:broken raised RuntimeError: not today (hills.py, line 8)"),
+        ("hills:inside", "env: hills:inside made inside, which is no jaxq.types.Env"),
+    ],
+)
+def test_what_is_no_environment_is_one_line_and_leaves_nothing(name, said, capsys):
+    before = sorted(Path().iterdir())
+    assert main(["sweep", "dqn", "--env", name, *SMALL]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err) == ("", f"jaxq: error: {said}\n")
+    assert [path for path in sorted(Path().iterdir()) if path.name != "__pycache__"] == before
+
+
+def test_what_a_function_refuses_is_known_before_a_run_begins(capsys):
+    """Where a number is traced nobody can look at it: then the function is asked before."""
+    words = ["sweep", "dqn", "--env", "hills:hill", *SMALL, "--out", "run"]
+    assert main([*words, "--env.steps", "30", "0"]) == 2
+    assert capsys.readouterr().err == "jaxq: error: max_episode_steps: 0 is not allowed: a whole number, at least 1\n"
+    assert not Path("run").exists()
+    calls = []
+
+    def counted(force=0.001):
+        calls.append(force)
+        return envs.make("MountainCar-v0", force=force)
+
+    plan("dqn", env=counted, gamma=[0.9, 0.99], **{"env.force": [0.001, 0.002]})
+    assert calls == [0.001, 0.002]
