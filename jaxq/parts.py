@@ -38,7 +38,7 @@ def table_bytes(table: pa.Table, about: Mapping[str, Any] | None = None) -> byte
 def policies_bytes(policies: Mapping[tuple[int, int], Weights], about: Mapping[str, str]) -> bytes:
     """Policies as a safetensors file: ``config/seed/name`` for each array."""
     tensors = {
-        f"{config}/{seed}/{name}": np.ascontiguousarray(array)
+        f"{config}/{seed}/{name}": np.ascontiguousarray(array).reshape(np.shape(array))  # which would have an axis more
         for (config, seed), arrays in policies.items()
         for name, array in arrays.items()
     }

@@ -248,9 +248,15 @@ def test_several_dimensions_are_a_product_and_a_state_that_was_left_stays_as_it_
         ({"env": "fast", "bins": 1}, "bins: 1 is not allowed: an integer from 2 to 1000"),
         ({"env": "fast", "bins": 2.5}, "bins: 2.5 is not allowed: an integer from 2 to 1000"),
         ({"env": "halfcheetah", "bins": 5}, "bins: 5 in each of 6 dimensions are 15625 actions: at most 1000"),
-        ({"env": "fast", "episode_length": 0}, "episode_length: 0 is not allowed: a whole number, at least 1"),
-        ({"env": "fast", "episode_length": np.nan}, "episode_length: nan is not allowed: a whole number, at least 1"),
-        ({"env": "fast", "episode_length": "10"}, "episode_length: '10' is not allowed: a whole number, at least 1"),
+        ({"env": "fast", "episode_length": 0}, "episode_length: 0 is not allowed: a whole number from 1 to 2147"),
+        (
+            {"env": "fast", "episode_length": np.nan},
+            "episode_length: nan is not allowed: a whole number from 1 to 2147",
+        ),
+        (
+            {"env": "fast", "episode_length": "10"},
+            "episode_length: '10' is not allowed: a whole number from 1 to 2147",
+        ),
         ({"env": envs.make("CartPole-v1")}, "is not allowed: a brax environment or its name"),
     ],
 )

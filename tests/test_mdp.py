@@ -21,7 +21,7 @@ from jaxq.envs import (
     stationary_distribution,
     value_iteration,
 )
-from jaxq.envs.mdp import MDPState, check_distribution, check_mdp, cumulative, draw
+from jaxq.envs.mdp import SUM_TOLERANCE, MDPState, check_distribution, check_mdp, cumulative, draw
 from jaxq.types import Step
 from jaxq.worlds import FrozenLake, Taxi
 
@@ -523,6 +523,17 @@ def test_arrays_that_are_no_mdp_are_an_error(mdp, message):
             policy_evaluation(mdp.transition, mdp.reward, 0.9, np.ones((2, 1)), mdp.terminal)
 
 
+@pytest.mark.parametrize("off", [0.5, 2, 100])
+def test_probabilities_may_miss_1_by_their_rounding_and_no_more(off):
+    given = np.array([0.25, 0.75 + off * SUM_TOLERANCE])
+    if off < 1:
+        check_distribution("start", given, (2,))
+        return
+    with pytest.raises(ValueError, match=r"^start: probabilities sum to 1\.\d+, allowed: 1$"):
+        check_distribution("start", given, (2,))
+    assert SUM_TOLERANCE < 1e-4
+
+
 def test_shapes_are_checked_of_tracers_too():
     with pytest.raises(ValueError, match=r"^start: shape \(3,\) is not allowed: \(2,\)"):
         jax.eval_shape(lambda mdp: env_of(mdp).reset(jax.random.key(0)), GOOD._replace(start=np.ones(3) / 3))
@@ -530,7 +541,7 @@ def test_shapes_are_checked_of_tracers_too():
 
 @pytest.mark.parametrize("limit", [0, -1, 2.5, True, np.ones(2, int)])
 def test_a_limit_that_is_no_number_of_steps_is_an_error(limit):
-    with pytest.raises(ValueError, match=r"^max_episode_steps: .* is not allowed: a whole number, at least 1$"):
+    with pytest.raises(ValueError, match=r"^max_episode_steps: .* is not allowed: a whole number from 1 to \d+$"):
         env_of(GOOD, max_episode_steps=limit)
 
 

@@ -254,6 +254,19 @@ def test_two_states_have_the_values_worked_out_by_hand():
             np.testing.assert_array_equal(after.reward, after.obs)
 
 
+def test_two_states_begin_poor_and_end_at_their_limit_alone():
+    env = envs.two_states(1.0, max_episode_steps=3)
+    state = env.reset(jax.random.key(0))
+    assert int(env.observe(state)) == 0
+    told = []
+    for k in range(3):
+        state, happened = env.step(jax.random.key(k), state, 1)
+        told.append((int(happened.obs), bool(happened.terminated), bool(happened.truncated)))
+    assert told == [(1, False, False), (0, False, False), (1, False, True)]
+    with pytest.raises(ValueError, match=r"^p: 1.5 is not allowed: from 0 to 1$"):
+        envs.two_states(1.5)
+
+
 # Learners
 
 

@@ -15,13 +15,17 @@ import jaxq
 from jaxq import envs, recording, replayed
 from jaxq.envs import (
     auto_reset,
+    finite_mdp,
     frame_history,
     normalise_observation,
     normalise_reward,
+    one_hot,
+    random_mdp,
     scale_reward,
     sticky_actions,
     time_limit,
 )
+from jaxq.envs.mdp import MDPState
 from jaxq.envs.moments import no_moments, seen
 from jaxq.envs.normalise import NormalisedState
 from jaxq.envs.probes import both
@@ -295,6 +299,7 @@ def test_a_policy_is_evaluated_and_played_with_the_statistics_it_was_trained_wit
         (lambda env: sticky_actions(env, 1.1), "probability: 1.1 is not allowed: from 0 to 1"),
         (lambda env: sticky_actions(env, float("nan")), "probability: nan is not allowed"),
         (lambda env: time_limit(env, 0), "max_episode_steps: 0 is not allowed"),
+        (lambda env: time_limit(env, 2**31), "max_episode_steps: 2147483648 is not allowed"),
         (lambda env: time_limit(env, 2.5), "max_episode_steps: 2.5 is not allowed"),
         (lambda env: scale_reward(env, float("inf")), "scale: inf is not allowed: a finite number"),
         (lambda env: scale_reward(env, 1.0, shift=float("nan")), "shift: nan is not allowed"),
@@ -310,6 +315,36 @@ def test_what_no_wrapper_can_do_is_refused(wrap, said):
     with pytest.raises(ValueError, match=r"^\w+: ") as error:
         wrap(envs.make("CartPole-v1"))
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize("normalise", [normalise_observation, normalise_reward])
+def test_moments_of_another_shape_are_refused(normalise):
+    env = normalise(envs.make("CartPole-v1"), moments=no_moments((3,)))
+    with pytest.raises(ValueError, match=r"^moments: mean of shape \(3,\) is not allowed: \((4,)?\)$"):
+        env.reset(jax.random.key(0))
+
+
+def test_numbers_of_numpy_and_of_a_trace_are_taken():
+    assert frame_history(envs.make("CartPole-v1"), np.int64(3)).obs_shape == (3, 4)
+
+    @jax.jit
+    def first(epsilon):
+        env = normalise_observation(envs.make("CartPole-v1"), epsilon=epsilon)
+        return env.observe(env.reset(jax.random.key(0)))
+
+    small, large = first(1e-8), first(1e8)
+    assert np.all(np.abs(large) < 1e-3 * np.abs(small))
+
+
+def test_one_hot_has_a_place_for_every_state():
+    mdp = random_mdp(np.random.default_rng(0), 5, 2)
+    env = one_hot(finite_mdp(mdp.transition, mdp.reward, mdp.start))
+    observed = jax.vmap(lambda s: env.observe(MDPState(s, jnp.int32(0))))(jnp.arange(5))
+    np.testing.assert_array_equal(observed, np.eye(5))
+    _, happened = env.step(jax.random.key(0), MDPState(jnp.int32(1), jnp.int32(0)), 0)
+    assert happened.obs.sum() == 1
+    with pytest.raises(ValueError, match="one_hot needs integer observations"):
+        one_hot(envs.make("CartPole-v1"))
 
 
 def test_a_state_says_what_it_holds():

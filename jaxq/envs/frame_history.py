@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxq.envs.auto_reset import check_ends, next_episode
+from jaxq.envs.mdp import is_whole
 from jaxq.types import Array, Env, Key, Step
 
 Padding = Literal["reset", "zero"]
@@ -34,7 +35,7 @@ def frame_history(env: Env, count: int, *, padding: Padding = "reset") -> Env:
     (4, 4)
     """
     check_ends(env, "frame_history")
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+    if not is_whole(count) or count < 1:
         raise ValueError(f"count: {count!r} is not allowed: a whole number, at least 1")
     if padding not in ("reset", "zero"):
         raise ValueError(f"padding: {padding!r} is not allowed: reset or zero")

@@ -19,6 +19,10 @@ from jaxq.types import Array, ArrayLike, Env, Key, Step
 SUM_TOLERANCE = 1e-5
 
 
+#: What an int32 can count to.
+MOST_STEPS = 2**31 - 1
+
+
 class MDPState(NamedTuple):
     """Which state it is, the observation, and the steps taken in this episode. Both [] int32."""
 
@@ -126,7 +130,7 @@ def random_mdp(
         "branching": (branching, 1, num_states),
     }
     for name, (count, low, high) in ranges.items():
-        if not _whole(count) or count < low or (high is not None and count > high):
+        if not is_whole(count) or count < low or (high is not None and count > high):
             allowed = f"at least {low}" if high is None else f"{low} to {high}"
             raise ValueError(f"{name}: {count!r} is not allowed: a whole number, {allowed}")
     inner = num_states - terminal
@@ -217,8 +221,9 @@ def draw(key: Key, ends: Array) -> Array:
 def check_steps(steps: ArrayLike, name: str = "max_episode_steps") -> None:
     """Raises ValueError for steps after which no episode can be truncated; ``name`` is what the caller calls them."""
     dtype = getattr(steps, "dtype", None) or np.asarray(steps).dtype
-    if np.shape(steps) != () or not jnp.issubdtype(dtype, jnp.integer) or (known(steps) and int(np.asarray(steps)) < 1):
-        raise ValueError(f"{name}: {steps!r} is not allowed: a whole number, at least 1")
+    fits = np.shape(steps) == () and jnp.issubdtype(dtype, jnp.integer)
+    if not fits or (known(steps) and not 1 <= int(np.asarray(steps)) <= MOST_STEPS):
+        raise ValueError(f"{name}: {steps!r} is not allowed: a whole number from 1 to {MOST_STEPS}")
 
 
 def _few(rng: np.random.Generator, count: int, branching: int, wanted: int | None) -> np.ndarray:
@@ -242,7 +247,8 @@ def check_start(start: ArrayLike, terminal: ArrayLike | None) -> None:
         raise ValueError(f"start: {begins[where]} at [{where}], a terminal state, is not allowed: 0")
 
 
-def _whole(count: object) -> bool:
+def is_whole(count: object) -> bool:
+    """Whether it is an integer, Python's or NumPy's."""
     return isinstance(count, int | np.integer) and not isinstance(count, bool)
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 
-from jaxq.types import Array
+from jaxq.types import Array, ArrayLike
 
 #: What the moments at the start weigh, as if so much of a number had been seen; Gymnasium's.
 FIRST_WEIGHT = 1e-4
@@ -45,6 +45,6 @@ def seen(moments: Moments, value: Array) -> Moments:
     return Moments(mean + delta / total, (variance * weight + jnp.square(delta) * weight / total) / total, total)
 
 
-def normalised(moments: Moments, value: Array, epsilon: float) -> Array:
+def normalised(moments: Moments, value: Array, epsilon: ArrayLike) -> Array:
     """(x - m) / sqrt(v + epsilon). Shapes: value as the mean."""
     return (jnp.asarray(value, moments.mean.dtype) - moments.mean) / jnp.sqrt(moments.variance + epsilon)

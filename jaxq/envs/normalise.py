@@ -38,7 +38,7 @@ class RewardState(NamedTuple):
 
 
 def normalise_observation(
-    env: Env, *, moments: Moments | None = None, update: bool = True, epsilon: float = 1e-8
+    env: Env, *, moments: Moments | None = None, update: bool = True, epsilon: ArrayLike = 1e-8
 ) -> Env:
     """``env`` whose observations have mean 0 and variance 1 under the moments of all so far, the present one included.
 
@@ -55,6 +55,7 @@ def normalise_observation(
     def begun(inner: Any, before: Moments | None) -> NormalisedState:
         obs = in_float(env.observe(inner))
         held = no_moments(obs.shape, obs.dtype) if before is None else before
+        _check_moments(held, obs.shape)
         return NormalisedState(inner, seen(held, obs) if update else held)
 
     def step(key: Key, state: NormalisedState, action: Array) -> tuple[NormalisedState, Step]:
@@ -73,7 +74,7 @@ def normalise_observation(
 
 
 def normalise_reward(
-    env: Env, gamma: ArrayLike = 0.99, *, moments: Moments | None = None, update: bool = True, epsilon: float = 1e-8
+    env: Env, gamma: ArrayLike = 0.99, *, moments: Moments | None = None, update: bool = True, epsilon: ArrayLike = 1e-8
 ) -> Env:
     """``env`` whose rewards are divided by the standard deviation of the discounted return so far.
 
@@ -93,6 +94,7 @@ def normalise_reward(
     def reset(key: Key) -> RewardState:
         inner = env.reset(key)
         held = no_moments(dtype=_reward_dtype(env, inner)) if moments is None else moments
+        _check_moments(held, ())
         return RewardState(inner, jnp.zeros((), held.mean.dtype), held)
 
     def step(key: Key, state: RewardState, action: Array) -> tuple[RewardState, Step]:
@@ -118,6 +120,12 @@ def _reward_dtype(env: Env, state: Any) -> Any:
     return jax.eval_shape(env.step, key, state, jax.ShapeDtypeStruct((), jnp.int32))[1].reward.dtype
 
 
-def _check_epsilon(epsilon: float) -> None:
-    if not 0 < epsilon < math.inf:
+def _check_moments(moments: Moments, shape: tuple[int, ...]) -> None:
+    for name, leaf, wanted in zip(Moments._fields, moments, (shape, shape, ()), strict=True):
+        if np.shape(leaf) != wanted:
+            raise ValueError(f"moments: {name} of shape {np.shape(leaf)} is not allowed: {wanted}")
+
+
+def _check_epsilon(epsilon: ArrayLike) -> None:
+    if known(epsilon) and not 0 < float(np.asarray(epsilon)) < math.inf:
         raise ValueError(f"epsilon: {epsilon} is not allowed: a number above 0")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxq.envs.mdp import finite_mdp
+from jaxq.envs.mdp import finite_mdp, known
 from jaxq.types import Array, ArrayLike, Env
 
 
@@ -19,6 +19,8 @@ def two_states(p: Array | float = 0.5, max_episode_steps: Array | int = 100) -> 
     >>> two_states().num_states
     2
     """
+    if known(p) and not 0 <= float(np.asarray(p)) <= 1:
+        raise ValueError(f"p: {p} is not allowed: from 0 to 1")
     stay, swap = np.eye(2), np.eye(2)[::-1]
     cross = p * swap + (1 - p) * stay
     rich = np.broadcast_to(np.array([0.0, 1.0]), (2, 2, 2))
