@@ -35,7 +35,8 @@ def test_a_loop_written_for_gymnax_runs(values):
     np.testing.assert_array_equal(done, info["terminated"] | info["truncated"])
     assert done.sum() > 8
     final, seen = np.asarray(info["final_observation"]), np.asarray(rows[0])
-    np.testing.assert_array_equal(final[~done], seen[~done])
+    # The compiler may compute the same state twice, and round it another way.
+    np.testing.assert_allclose(final[~done], seen[~done], rtol=1e-5, atol=1e-6)
     assert np.all(np.abs(final[done][:, 2]) > 0.2)  # fallen
     assert np.all(np.abs(seen[done]) <= 0.05)  # and begun anew
     np.testing.assert_array_equal(info["discount"], 1.0 - np.asarray(info["terminated"]))
