@@ -179,7 +179,9 @@ def _pcg4d_fold_in(key: Array, data: Array) -> Array:
 
 def _pcg4d_split(key: Array, shape: Shape) -> Array:
     """Children of a key, two from each hash of the index. Shapes: [2] -> [*shape, 2]."""
-    return _stream(key, 2 * math.prod(shape), _SPLIT, unroll=8).reshape(*shape, 2)
+    # A lane's six streams must stand alone: where they are picked, and each is split in its turn, XLA puts one choice
+    # into the other and compiles for seconds what else takes half of one.
+    return _stream(key, 2 * math.prod(shape), _SPLIT, unroll=12).reshape(*shape, 2)
 
 
 def _pcg4d_bits(key: Array, bit_width: int, shape: Shape) -> Array:
