@@ -65,7 +65,7 @@ def play(
     and of how many. Raises ValueError where no policy was kept.
     """
     longest = min(max_steps, getattr(outcome.settings(config).env, "max_episode_steps", max_steps))
-    made, q_values, before = replayed.lane(outcome, config, seed)
+    made, q_values, _, before = replayed.lane(outcome, config, seed)
     step, reset, value = (
         jax.jit(made.env.step),
         jax.jit(lambda key: begin(made.env, key, before)),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -34,12 +36,13 @@ class Played(NamedTuple):
 
 
 class LanePlayed(NamedTuple):
-    """What plays a lane's policy, its action values as a function that can be traced, and the environment's state in
-    which the training ended, where something of that outlives an episode.
+    """What plays a lane's policy, its action values as a function that can be traced, the policy, and the environment's
+    state in which the training ended, where something of that outlives an episode.
     """
 
     made: Any
     q_values: Callable[[Array], Array]
+    policy: Any
     before: Any
 
 
@@ -55,7 +58,7 @@ def play(outcome: Trained, config: int, seed: int, episodes: int, root_seed: int
 
     Raises ValueError where no policy was kept.
     """
-    made, q_values, before = lane(outcome, config, seed)
+    made, _, policy, before = lane(outcome, config, seed)
 
     def key() -> Key:  # made twice: an episode consumes what its start is told by
         return jax.random.fold_in(prng.key(root_seed, "threefry"), 0)
@@ -64,9 +67,32 @@ def play(outcome: Trained, config: int, seed: int, episodes: int, root_seed: int
         return begin(made.world, jax.random.split(key)[0], before)
 
     starts = jax.vmap(start)(jax.random.split(key(), episodes))
-    limit = outcome.settings(config).env.eval_steps
-    run = jax.jit(lambda key: greedy_returns(key, made.env, q_values, episodes, limit, before))
-    return Played(jax.tree.map(np.asarray, starts), np.asarray(run(key())))
+    settings = outcome.settings(config)
+    run = _game(_Structure(settings.structural(), settings), episodes)
+    returns = run(key(), programs.hypers(settings), policy, before)
+    return Played(jax.tree.map(np.asarray, starts), np.asarray(returns))
+
+
+@dataclass(frozen=True)
+class _Structure:
+    """Settings of which the structure alone counts."""
+
+    shapes: tuple[Any, ...]
+    settings: Any = field(compare=False)
+
+
+@functools.lru_cache(maxsize=8)
+def _game(structure: _Structure, episodes: int) -> Callable[..., Array]:
+    """Greedy episodes as one compiled function of the key, the numbers, the policy and the environment's state."""
+    make_env, make_agent = programs.pieces(structure.settings)
+    limit = structure.settings.env.eval_steps
+
+    def game(key: Key, numbers: Any, policy: Any, before: Any) -> Array:
+        env = make_env(numbers.env)
+        q_values = functools.partial(make_agent(numbers.agent, env).q_values, policy)
+        return greedy_returns(key, env, q_values, episodes, limit, before)
+
+    return jax.jit(game)
 
 
 def follow(outcome: Trained, config: int, seed: int, episodes: int = 20, steps: int = 500) -> Followed:
@@ -80,7 +106,7 @@ def follow(outcome: Trained, config: int, seed: int, episodes: int = 20, steps: 
     gamma = float(settings.gamma)
     beyond = math.ceil(math.log(0.01) / math.log(gamma)) if 0 < gamma < 1 else 1 if gamma == 0 else 10 * steps
     beyond = min(beyond, 20_000)
-    made, q_values, before = lane(outcome, config, seed, endless=True)
+    made, q_values, _, before = lane(outcome, config, seed, endless=True)
     env = made.env
 
     def one(key: Array) -> tuple[Array, Array, Array]:
@@ -120,7 +146,7 @@ def lane(outcome: Trained, config: int, seed: int, endless: bool = False) -> Lan
     made = programs.played(settings)
     before = lasting_state(weights, jax.eval_shape(made.env.reset, jax.random.key(0)))
     tree = _tree(learnt(weights))
-    return LanePlayed(made, lambda obs: made.agent.q_values(tree, obs), before)
+    return LanePlayed(made, lambda obs: made.agent.q_values(tree, obs), tree, before)
 
 
 def _tree(weights: Any) -> Any:

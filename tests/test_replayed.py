@@ -92,6 +92,20 @@ def test_starts_depend_on_neither_training_nor_evaluation_and_differ():
     assert not np.array_equal(first, starts(root_seed=1))
 
 
+def test_lanes_of_a_structure_are_played_by_one_program_each_with_its_own_numbers_and_policy():
+    def made(**varied):
+        return jaxq.sweep("q-learning", max_episodes=40, stop="none", seeds=2, **varied)
+
+    runs = made(**{"env.length": [0.5, 2.0]})
+    before = replayed._game.cache_info().misses
+    played = [replayed.play(runs, config, seed, 7).returns for config in (0, 1) for seed in (0, 1)]
+    assert replayed._game.cache_info().misses == before + 1
+    assert len({tuple(one) for one in played}) == 4
+    alone = made(**{"env.length": [2.0]})
+    replayed._game.cache_clear()
+    np.testing.assert_array_equal(replayed.play(alone, 0, 1, 7).returns, played[3])
+
+
 @pytest.mark.parametrize("truncates", [False, True])
 def test_what_followed_is_the_discounted_return_beyond_a_truncation_and_not_beyond_a_termination(
     monkeypatch, truncates
@@ -99,7 +113,7 @@ def test_what_followed_is_the_discounted_return_beyond_a_truncation_and_not_beyo
     gamma, length, steps = 0.8, 7, 5
     env = probes.counter(length, truncates=truncates)
     made = programs.Played(env, env, agent=None)
-    played = replayed.LanePlayed(made, lambda obs: jnp.stack([obs, -obs]) * 1.0, None)
+    played = replayed.LanePlayed(made, lambda obs: jnp.stack([obs, -obs]) * 1.0, None, None)
     monkeypatch.setattr(replayed, "lane", lambda *lane, endless: played)
     sweep = SimpleNamespace(settings=lambda _: SimpleNamespace(gamma=gamma))
     found = replayed.follow(sweep, 0, 0, episodes=1, steps=steps)
