@@ -4,6 +4,7 @@ import os
 import sys
 import threading
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -98,6 +99,7 @@ def test_an_accelerators_lanes_are_held_to_no_core(monkeypatch):
     monkeypatch.setattr(scaling, "_notes", {})
     monkeypatch.setattr(affinity, "on", lambda cores: held.append(cores) or nullcontext())
     monkeypatch.setattr(equal_lanes, "prepare", lambda *a, **k: lambda: 1.0)
+    monkeypatch.setattr(equal_lanes, "unevaluated", lambda *a: SimpleNamespace(program=SimpleNamespace(width=8)))
     assert affinity.not_held("cpu") is None or sys.platform != "linux"
     scaling.prepare("1", "cores", "article-q")()
     assert held == [1]
