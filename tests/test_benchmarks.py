@@ -18,7 +18,7 @@ def test_the_plain_jax_peer_plays_cartpole_and_learns():
             np.testing.assert_allclose(obs, happened.obs, rtol=1e-5, atol=1e-6)
             assert bool(fell) == bool(happened.terminated)
 
-    start = jax.vmap(plain_jax.init)(jax.random.split(jax.random.key(0), 4))
+    start = jax.jit(jax.vmap(plain_jax.init))(jax.random.split(jax.random.key(0), 4))
     state, over = jax.jit(jax.vmap(lambda lane: plain_jax.segment(lane, 8000)))(start)
     over = np.asarray(over)
     untrained, later = 1000 / over[:, :1000].sum(1).mean(), 3000 / (over[:, 5000:].sum(1).min() + 1)
