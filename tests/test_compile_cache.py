@@ -130,9 +130,8 @@ def test_a_program_runs_where_programs_run_by_default(tmp_path):
 
 def test_each_structure_has_its_entries_and_a_number_makes_none(cache):
     def timing(**values):
-        return jaxq.sweep("article-dqn", cache=cache, **small, **values).timing
+        return jaxq.sweep("q-learning", cache=cache, **NUMBERS, **values).timing
 
-    small = {"hidden": [(8,)], "batch_size": 8, "learning_starts": 16, "buffer_size": 100, "max_env_steps": 300}
     one = timing(double=False)
     after_one = set(entries(cache.root))
     both = timing(double=[False, True])
