@@ -1,6 +1,7 @@
 """Replay: the ring against a deque, and the draws against counting and against Floyd's algorithm in Python."""
 
 import collections
+import functools
 import itertools
 
 import hypothesis
@@ -26,9 +27,10 @@ EXAMPLE = Transition(
 
 def transitions(numbers):
     """Transitions that carry their number (1, 2, ...) in every field, so that a row mixed from two would show."""
-    x = jnp.asarray(numbers)
-    pair = jnp.stack([x, -x], axis=-1).astype(jnp.float32)
-    return Transition(pair, x.astype(jnp.int32), x.astype(jnp.float32), x % 2.0, pair + 0.5, x % 3 == 0)
+    x = np.asarray(numbers)
+    pair = np.stack([x, -x], axis=-1).astype(np.float32)
+    row = (pair, x.astype(np.int32), x.astype(np.float32), (x % 2).astype(np.float32), pair + np.float32(0.5))
+    return Transition(*row, x % 3 == 0)
 
 
 def assert_rows_are_whole(batch):
@@ -36,8 +38,15 @@ def assert_rows_are_whole(batch):
     jax.tree.map(np.testing.assert_array_equal, batch, expected)
 
 
-def filled(capacity, batch_size, count, replacement=False):
+@functools.cache
+def compiled(capacity, batch_size, replacement=False):
+    """A replay whose functions are compiled, once for each number of transitions."""
     buffer = replay.uniform(capacity, batch_size, replacement=replacement)
+    return replay.ReplayBuffer(buffer.init, jax.jit(buffer.add), jax.jit(buffer.sample))
+
+
+def filled(capacity, batch_size, count, replacement=False):
+    buffer = compiled(capacity, batch_size, replacement)
     state = buffer.init(EXAMPLE)
     for start in range(0, count, capacity):
         state = buffer.add(state, transitions(np.arange(start, min(start + capacity, count)) + 1))
@@ -50,7 +59,7 @@ def filled(capacity, batch_size, count, replacement=False):
 )
 def test_ring_equals_a_deque(capacity, counts):
     counts = [min(count, capacity) for count in counts]
-    buffer = replay.uniform(capacity, 1)
+    buffer = compiled(capacity, 1)
     state, reference, number = buffer.init(EXAMPLE), collections.deque(maxlen=capacity), 1
     for count in counts:
         rows = np.arange(number, number + count)
@@ -59,7 +68,7 @@ def test_ring_equals_a_deque(capacity, counts):
         assert int(state.size) == len(reference)
     oldest = (int(state.position) - len(reference)) % capacity
     order = (oldest + np.arange(len(reference))) % capacity
-    stored = jax.tree.map(lambda x: x[order], state.storage)
+    stored = jax.tree.map(lambda x: np.asarray(x)[order], state.storage)
     np.testing.assert_array_equal(stored.a_tm1, reference)
     assert_rows_are_whole(stored)
 
@@ -69,7 +78,7 @@ def test_ring_equals_a_deque(capacity, counts):
 def test_batches_hold_whole_stored_rows_only(count, replacement):
     buffer, state = filled(20, 8, count, replacement)
     keys = jax.random.split(jax.random.key(0), 50)
-    batches = jax.vmap(buffer.sample, (0, None))(keys, state)
+    batches = jax.jit(jax.vmap(buffer.sample, (0, None)))(keys, state)
     numbers = np.asarray(batches.a_tm1)
     assert numbers.shape == (50, 8)
     assert set(numbers.ravel()) == set(range(max(0, count - 20) + 1, count + 1))
@@ -80,7 +89,7 @@ def test_batches_hold_whole_stored_rows_only(count, replacement):
 
 def test_too_few_rows_repeat_but_are_written_ones():
     buffer, state = filled(20, 8, 3)
-    numbers = jax.vmap(buffer.sample, (0, None))(jax.random.split(jax.random.key(0), 50), state).a_tm1
+    numbers = jax.jit(jax.vmap(buffer.sample, (0, None)))(jax.random.split(jax.random.key(0), 50), state).a_tm1
     assert set(np.asarray(numbers).ravel()) <= {1, 2, 3}
 
 
@@ -124,7 +133,7 @@ def test_equals_floyd_in_python(size):
 
 def test_draws_with_replacement_are_independent():
     buffer, state = filled(4, 2, 4, replacement=True)
-    pairs = jax.vmap(buffer.sample, (0, None))(jax.random.split(jax.random.key(5), 40_000), state).a_tm1
+    pairs = jax.jit(jax.vmap(buffer.sample, (0, None)))(jax.random.split(jax.random.key(5), 40_000), state).a_tm1
     counts = np.bincount((np.asarray(pairs) - 1) @ np.array([4, 1]), minlength=16)
     assert scipy.stats.chisquare(counts).pvalue > 1e-3
 
@@ -137,17 +146,17 @@ def test_bounded_is_the_high_word_of_the_product(word, bound):
 
 def test_lanes_equal_single_rings():
     buffer = replay.uniform(7, 3)
-    many = jnp.arange(40).reshape(4, 2, 5) + 1
+    many = transitions(np.arange(40).reshape(4, 2, 5) + 1)
 
-    def one(seed, numbers, offset):
+    def one(seed, given, offset):
         state = buffer.init(EXAMPLE)._replace(position=offset)
-        for row in numbers:
-            state = buffer.add(state, transitions(row))
+        for row in range(2):
+            state = buffer.add(state, jax.tree.map(lambda x, row=row: x[row], given))
         return state, buffer.sample(jax.random.key(seed), state)
 
-    lanes = jax.vmap(one)(jnp.arange(4), many, jnp.arange(4, dtype=jnp.int32))
+    lanes, alone = jax.jit(jax.vmap(one))(np.arange(4), many, np.arange(4, dtype=np.int32)), jax.jit(one)
     for lane in range(4):
-        single = one(lane, many[lane], jnp.int32(lane))
+        single = alone(lane, jax.tree.map(lambda x, lane=lane: x[lane], many), np.int32(lane))
         jax.tree.map(np.testing.assert_array_equal, jax.tree.map(lambda x, lane=lane: x[lane], lanes), single)
 
 
