@@ -372,10 +372,13 @@ def test_vmapped_lanes_equal_single_ones():
         batch = make_batch(0)
         state = agent.init(jax.random.key(seed), jax.tree.map(lambda x: x[0], batch))
         state = agent.observe(state, jax.tree.map(lambda x: x[:, None], batch))
-        for index in range(3):
-            key = jax.random.key(10 * seed + index)
-            state, metrics = agent.update(key, state, experience(index), clock(updates=index))
-        return state, metrics
+
+        def learn(state, given):
+            index, one = given
+            return agent.update(jax.random.key(10 * seed + index), state, one, clock(updates=index))
+
+        each = jax.tree.map(lambda *leaves: jnp.stack(leaves), *map(experience, range(3)))
+        return jax.lax.scan(learn, state, (np.arange(3), each))
 
     settings = (jnp.arange(3), jnp.array([1e-2, 1e-3, 0.0]), jnp.array([0.9, 0.5, 0.99]))
     lanes = jax.jit(jax.vmap(train))(*settings)
