@@ -24,19 +24,21 @@ def roll(env, seed=0, steps=STEPS):
 
     @jax.jit
     def walk(first, each):
-        def body(state, pair):
-            choose, act, again = jax.random.split(jax.random.wrap_key_data(pair), 3)
-            after, happened = env.step(act, state, jax.random.randint(choose, (), 0, env.num_actions))
+        def body(state, given):
+            act, again, action = given
+            after, happened = env.step(jax.random.wrap_key_data(act), state, action)
             seen, on = env.observe(after), after
             if not env.resets:
-                over, fresh = happened.terminated | happened.truncated, next_episode(env, again, after)
+                over = happened.terminated | happened.truncated
+                fresh = next_episode(env, jax.random.wrap_key_data(again), after)
                 on = jax.tree.map(lambda new, old: jnp.where(over, new, old), fresh, after)
             return on, (happened, seen, on)
 
         return jax.lax.scan(body, env.reset(jax.random.wrap_key_data(first)), each)[1]
 
-    rows = words(seed, steps + 1)
-    return walk(rows[0], rows[1:])
+    rows, rng = words(seed, 2 * steps + 1), np.random.default_rng(seed)
+    actions = rng.integers(env.num_actions, size=steps, dtype=np.int32)
+    return walk(rows[0], (rows[1 : steps + 1], rows[steps + 1 :], actions))
 
 
 def episodes_end(env):
