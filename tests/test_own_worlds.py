@@ -57,10 +57,10 @@ def test_a_named_function_is_swept_resumed_played_and_filmed(capsys):
     assert json.loads(capsys.readouterr().out.splitlines()[-1])[0]["pure"] == -30
     assert main(["record", "run", "--env", "hills:hill", "--max-steps", "5", "--quiet"]) == 0
     assert Path("run/record.gif").read_bytes().startswith(b"GIF89a")
-    for command in ("evaluate", "record"):
+    for command, short in (("evaluate", ["--episodes", "2"]), ("record", ["--max-steps", "5", "--quiet"])):
         assert main([command, "run"]) == 2
         assert "give it, as --env MODULE:FUNCTION" in capsys.readouterr().err
-        assert main([command, "run", "--env", "hills:inside.walk"]) == 0
+        assert main([command, "run", "--env", "hills:inside.walk", *short]) == 0
 
 
 def test_a_sweep_file_names_a_function_too(capsys):
