@@ -28,7 +28,8 @@ class inside:
 
 number = 3
 """
-SMALL = "--max-env-steps 400 --learning-starts 128 --hidden 8 --seeds 2 --quiet".split()
+NUMBERS = {"max_env_steps": 400, "learning_starts": 128, "hidden": (8,), "eval_episodes": 10, "seeds": 2}
+SMALL = "--max-env-steps 400 --learning-starts 128 --hidden 8 --eval-episodes 10 --seeds 2 --quiet".split()
 
 
 @pytest.fixture(autouse=True)
@@ -48,9 +49,7 @@ def test_a_named_function_is_swept_resumed_played_and_filmed(capsys):
     assert [row["env.force"] for row in lanes] == [0.001, 0.001, 0.002, 0.002]
     assert [row["final_return"] for row in lanes] == [-30] * 4
     hill = sources.imported("hills:hill")
-    same = jaxq.sweep(
-        "dqn", env=hill, seeds=2, max_env_steps=400, learning_starts=128, hidden=(8,), **{"env.force": [0.001, 0.002]}
-    )
+    same = jaxq.sweep("dqn", env=hill, **NUMBERS, **{"env.force": [0.001, 0.002]})
     assert same.lanes["eval_return"].to_pylist() == [row["eval_return"] for row in lanes]
     assert main([*words, "--resume"]) == 0
     assert main(["evaluate", "run", "--env", "hills:hill", "--episodes", "2", "--json"]) == 0

@@ -30,6 +30,8 @@ from jaxq.envs.moments import no_moments, seen
 from jaxq.envs.normalise import NormalisedState
 from jaxq.envs.probes import both
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 
 def precision(dtype):
     return jax.enable_x64(True) if dtype == np.float64 else contextlib.nullcontext()
@@ -280,7 +282,7 @@ def test_a_policy_is_evaluated_and_played_with_the_statistics_it_was_trained_wit
         learning_rate=1e-2,
         learning_starts=64,
         batch_size=16,
-        eval_episodes=50,
+        eval_episodes=10,
         out=tmp_path / "run",
     )
     earned = swept.lanes["eval_return"].to_pylist()
