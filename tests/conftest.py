@@ -15,6 +15,9 @@ os.environ["JAXQ_CACHE_DIR"] = ""
 
 import jax  # noqa: E402 (after the settings)
 
+from jaxq import executables  # noqa: E402
+from jaxq.compile_cache import CompileCache  # noqa: E402
+
 jax.config.update("jax_debug_key_reuse", True)
 
 REFERENCE = Path(__file__).parent / "reference"
@@ -32,12 +35,22 @@ def _compiled_programs_are_not_kept_for_ever():
         jax.clear_caches()
 
 
-@pytest.fixture
-def programs_are_compiled_once(tmp_path_factory, monkeypatch):
-    """A cache of compiled programs that all who ask for it share, in every worker: nothing depends on it but time."""
+@pytest.fixture(scope="module")
+def programs_are_compiled_once(tmp_path_factory):
+    """A cache of compiled programs that all who ask for it share, in every worker, whether they call the command line,
+    the library or another process: nothing depends on it but time.
+    """
     own = tmp_path_factory.getbasetemp()
-    run = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
-    monkeypatch.setenv("JAXQ_CACHE_DIR", str(run / "programs"))
+    place = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "programs"
+    build = executables.build
+
+    def shared(program, example, impl, cache=None):
+        return build(program, example, impl, CompileCache(place) if cache is None else cache)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JAXQ_CACHE_DIR", str(place))
+        patch.setattr(executables, "build", shared)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -12,6 +12,8 @@ from jaxq.plans import plan
 from jaxq.runs import RunDirectory
 from jaxq.tally import Lane
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 PRNG = "pcg4d"
 SHORT = {"max_episodes": 60, "success_steps": 40, "success_streak": 2}
 

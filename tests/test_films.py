@@ -19,6 +19,8 @@ from jaxq.frames import canvas, films
 from jaxq.frames.panel import Moment, beside, fitted
 from jaxq.worlds import WORLDS, CartPole, world
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):

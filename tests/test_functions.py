@@ -14,6 +14,8 @@ from jaxq.axes import Range
 from jaxq.manifest import RunError
 from jaxq.sweep_files import text
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 
 class Pair(NamedTuple):
     first: jax.Array

@@ -11,6 +11,8 @@ import jaxq
 from jaxq import envs
 from jaxq.interop.gymnax import GymnaxStyle, from_gymnax
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 
 @pytest.mark.parametrize("values", [5, 6])
 def test_a_loop_written_for_gymnax_runs(values):

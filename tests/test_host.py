@@ -19,6 +19,8 @@ from jaxq.interop.gymnasium.learner import Learner
 from jaxq.interop.gymnasium.transitions import Row, Transitions
 from jaxq.presets import preset, settle
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 MODES = pytest.mark.parametrize("mode", list(AutoresetMode))
 QUIET = {"progress": False}
 

@@ -18,6 +18,8 @@ from jaxq.rounds import Limits
 from jaxq.tally import Lane
 from jaxq.types import Hypers
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 PRNG = "pcg4d"
 #: Short runs: every lane ends at its episode limit or, where alpha is high, by success of three episodes.
 TABLE = {"max_episodes": 120, "success_steps": 40, "success_streak": 2}
@@ -241,7 +243,7 @@ def test_numbers_share_one_trace(name, values):
     counted = jax.jit(advance)
     for one in settings:
         h = programs.hypers(one)
-        state, _ = made.experiment.init(prng.key(0, PRNG), h)
+        state, _ = jax.eval_shape(made.experiment.init, prng.key(0, PRNG), h)
         counted.lower(state, h)
     assert traces == 1
 

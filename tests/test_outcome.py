@@ -14,6 +14,8 @@ from jaxq.cli import main
 from jaxq.manifest import RunError
 from jaxq.run_files import WriteError
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 SHORT = {"max_episodes": 60, "success_steps": 30, "success_streak": 2}
 
 

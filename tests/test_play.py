@@ -13,6 +13,8 @@ from jaxq import cli, recording
 from jaxq.frames import terminal
 from jaxq.frames.panel import Moment, Scale
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 
 

@@ -16,6 +16,8 @@ from jaxq.presets import preset, settle
 from jaxq.saved_policy import SavedPolicy
 from jaxq.worlds import CartPole, World
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 #: Pushes towards where the pole falls: it holds for a while, and then does not.
 TOWARDS = SavedPolicy(
     {"kind": "mlp", "layers": ["only"]},

@@ -25,6 +25,8 @@ from jaxq.stages import Listeners
 from jaxq.types import Env
 from jaxq.worlds import CartPole
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 BUCKETS = [(1, 1, 6, 3), (3, 4, 5, 2), (1, 1, 1, 1)]
 
 

@@ -18,6 +18,8 @@ from jaxq.bench import solve, worker
 from jaxq.presets import preset, settle
 from jaxq.rounds import Limits
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 PEERS = Path(__file__).parent.parent / "benchmarks" / "peers"
 
 

@@ -16,6 +16,8 @@ from jaxq.cli import main
 from jaxq.plans import plan
 from jaxq.stages import Listeners
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 NETWORK = {
     "hidden": (8,),
     "batch_size": 16,

@@ -14,6 +14,8 @@ from jaxq.envs.mdp import MDPState
 from jaxq.envs.outcomes import as_mdp
 from jaxq.worlds import CartPole, CliffWalking, FrozenLake, FrozenLake8x8, Taxi
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 CASES = [
     *((kind, {"is_slippery": slips}) for kind in (FrozenLake, FrozenLake8x8, CliffWalking) for slips in (False, True)),
     (FrozenLake, {"success_rate": 0.8}),

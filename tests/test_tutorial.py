@@ -13,6 +13,8 @@ from jaxq import programs
 from jaxq.envs import tutorial_edges
 from jaxq.presets import preset, settle
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 #: Two samples of the same distribution are called different once in a thousand.
 ALPHA = 1e-3
 

@@ -20,6 +20,8 @@ from jaxq.tables import OUTCOMES
 from jaxq.types import Env, Step
 from jaxq.worlds import WORLDS, CartPole, world
 
+pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
+
 TABLE = {"max_episodes": 40, "seeds": 3, "eval_episodes": 3}
 
 
