@@ -152,7 +152,7 @@ def test_the_report_has_the_summary_and_its_pictures(swept, capsys):
 
 
 def test_float64_switched_on_changes_no_bit():
-    words = [sys.executable, "-m", "jaxq", "sweep", "dqn", "--hidden", "8", "--max-env-steps", "1500", "--seeds", "2"]
+    words = [sys.executable, "-m", "jaxq", "sweep", "dqn", *TINY, "--eval-episodes", "10", "--seeds", "2"]
     rows = []
     for on in ("0", "1"):
         env = {**os.environ, "JAX_ENABLE_X64": on}
@@ -201,7 +201,8 @@ def test_a_finished_train_that_is_resumed_prints_the_same_again(capsys):
 
 
 def test_the_lines_of_a_train_come_while_it_runs():
-    words = [sys.executable, "-m", "jaxq", "train", "article-dqn", "--hidden", "8", "--verbose", "--out", "one"]
+    longer = [*TINY[:-1], "1000000"]
+    words = [sys.executable, "-m", "jaxq", "train", "article-dqn", *longer, "--verbose", "--out", "one"]
     process = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     assert process.stderr is not None
     assert any(line.startswith("episode 0: ") for line in process.stderr)
