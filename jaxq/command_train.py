@@ -16,6 +16,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--from", action=Once, type=flags.directory, required=True, dest="source", metavar="DIR")
     parser.add_argument("--config", action=Once, type=whole, required=True, help="index of the setting", metavar="I")
     parser.add_argument("--seed", action=Once, type=whole, required=True, help="index of the seed", metavar="S")
+    parser.add_argument("--env", action=Once, default=None, help=flags.OWN, metavar="MODULE:FUNCTION")
     run = parser.add_argument_group("run")
     flags.directory_flags(run)
     flags.output_flags(run)
@@ -29,8 +30,8 @@ def run(options: argparse.Namespace) -> int:
     from jaxq.outcome import load
 
     try:
-        outcome = load(options.source)
-    except RunError as error:
+        outcome = load(options.source, None if options.env is None else flags.own(options.env))
+    except (RunError, ValueError) as error:
         raise UsageError(str(error)) from None
     planned = lane_plan(outcome, options.config, options.seed)
     name = f"train-{planned.name}-{options.config}-{options.seed}-{planned.hash()[:8]}"

@@ -71,7 +71,10 @@ def _dry_run(planned: Plan, options: argparse.Namespace) -> int:
     from jaxq import estimate
 
     settings, seeds, lanes, programs = len(planned.settings), len(planned.seeds), planned.lanes, planned.programs
-    memory = estimate.memory(planned, options.workers)
+    try:
+        memory = estimate.memory(planned, options.workers)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
     if options.json:
         counts = {"settings": settings, "seeds": seeds, "lanes": lanes, "programs": programs}
         print(json.dumps(counts | {"memory_bytes": memory}))
@@ -102,7 +105,10 @@ def execute(command: str, planned: Plan, path: Path, options: argparse.Namespace
         from jaxq.runs import Locked, RunDirectory
 
         try:
-            estimate.check(planned, options.workers)
+            try:
+                estimate.check(planned, options.workers)
+            except ValueError as error:
+                raise UsageError(str(error)) from None
             with RunDirectory.open(
                 path,
                 planned,

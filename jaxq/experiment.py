@@ -218,6 +218,11 @@ def _rollout(
         (env_state, obs), experience, happened = jax.vmap(one_env, in_axes=(0, 0, 0, None, None))(
             index, state.env, state.obs, state.agent, state.clock
         )
+        if env.restart is not None:  # what outlives an episode stays where the lane ended
+            ended = state.clock.live == 0
+            env_state, obs = jax.tree.map(
+                lambda old, new: jnp.where(ended, old, new), (state.env, state.obs), (env_state, obs)
+            )
         over = experience.cut_t
         length, total = state.length + 1, state.total + happened.reward.astype(jnp.float32)
         success_state, met = judged(success, state.success, over, length, total, limits)

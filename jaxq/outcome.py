@@ -221,4 +221,6 @@ def _own_world(spec: dict[str, Any], env: Callable[..., Any]) -> World:
         raise ValueError(f"env: {env!r} is not allowed: the function that made {made_with!r}")
     if spec.get("source") not in (None, sources.digest(env)):
         raise ValueError(f"env: is not the {made_with!r} of this run: its source, or what is bound to it, is another")
-    return worlds.world(env)
+    world = worlds.world(env)
+    worlds.check([world])
+    return world

@@ -101,6 +101,11 @@ def _(settings: TabularSettings) -> Pieces:
     def make_env(numbers: Any) -> Env:
         of_world, edges = numbers
         env = make_world(of_world)
+        if env.num_states is None and env.obs_shape != (len(edges),):
+            raise ValueError(
+                f"env: {settings.env} has observations of shape {env.obs_shape}, which a table divides between bounds:"
+                " give its function .bounds, a low and a high of each"
+            )
         return env if env.num_states is not None else discretise(env, edges)
 
     def make_agent(numbers: TabularHypers, env: Env) -> Agent:

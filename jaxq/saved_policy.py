@@ -113,10 +113,17 @@ def learnt(weights: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def lasting_state(weights: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
-    """The environment's state that stands beside the weights, with the structure of ``like``; None where none does."""
+    """The environment's state that stands beside the weights, with the structure of ``like``; None where none does.
+
+    Raises ValueError where the two do not fit.
+    """
     if len(learnt(weights)) == len(weights):
         return None
-    return jax.tree.unflatten(jax.tree.structure(like), [jnp.asarray(weights[name]) for name in _leaves(like)])
+    wanted = _leaves(like)
+    found = {name: array for name, array in weights.items() if name.startswith(ENV)}
+    if {n: np.shape(leaf) for n, leaf in found.items()} != {n: np.shape(leaf) for n, leaf in wanted.items()}:
+        raise ValueError("env: is not that of this run: its state has other parts")
+    return jax.tree.unflatten(jax.tree.structure(like), [jnp.asarray(found[name]) for name in wanted])
 
 
 def _leaves(state: PyTree) -> dict[str, Any]:

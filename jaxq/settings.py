@@ -114,7 +114,7 @@ def changed(base: Settings, overrides: dict[str, Any], prefix: str = "") -> Any:
     try:
         return type(base).model_validate({**dict(base), **overrides})
     except ValidationError as error:
-        raise ValueError(prefix + _one_line(error)) from None
+        raise ValueError(prefix + one_line(error)) from None
 
 
 #: pydantic's words for these would not say what is allowed.
@@ -131,7 +131,8 @@ _ALLOWED = {
 }
 
 
-def _one_line(error: ValidationError) -> str:
+def one_line(error: ValidationError) -> str:
+    """What pydantic found first, in the words of this package."""
     first = error.errors(include_url=False)[0]
     if not first["loc"]:
         return first["msg"].removeprefix("Value error, ")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import importlib
 import inspect
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +17,8 @@ from typing import Any
 import numpy as np
 
 from jaxq.suggest import nearest
+
+_HERE = Path(__file__).parent
 
 
 def digest(function: Callable[..., Any]) -> str | None:
@@ -40,25 +44,39 @@ def imported(name: str) -> Any:
     module, _, inside = name.partition(":")
     if not all(part.isidentifier() for part in (*module.split("."), *inside.split("."))):
         raise ValueError(f"{name!r} is not allowed: MODULE:FUNCTION")
-    here = str(Path.cwd())
-    sys.path.insert(0, here)
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, here)  # for good: what the module imports later may stand beside it
     try:
-        found = importlib.import_module(module)
-    except Exception as error:  # whatever the module does
+        with contextlib.redirect_stdout(sys.stderr):  # what a module prints is talk
+            found = importlib.import_module(module)
+    except (Exception, SystemExit) as error:  # whatever the module does
         raise ValueError(f"{module} cannot be imported: {raised(error)}") from None
-    finally:
-        sys.path.remove(here)
     try:
         return functools.reduce(getattr, inside.split("."), found)
-    except AttributeError:
-        raise ValueError(f"{inside!r} is unknown in {module}{nearest(inside, dir(found))}") from None
+    except Exception:  # a module may have a __getattr__ of its own
+        known = [name for name in dir(found) if not name.startswith("_")]
+        raise ValueError(f"{inside!r} is unknown in {module}{nearest(inside, known)}") from None
 
 
-def raised(error: Exception) -> str:
-    """A line of what code of the user's own raised: the kind, the message, and where."""
+def raised(error: BaseException) -> str:
+    """A line of what code of the user's own raised: the kind, the first line of the message, and where."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _theirs(frame.filename)]
+    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    first, *_ = str(error).strip().splitlines() or [""]
+    return " ".join(f"{type(error).__name__}: {first}{where}".split())
+
+
+def ours(error: BaseException) -> bool:
+    """Whether it is an error of this package's own words: a ValueError that was raised here."""
     *_, last = traceback.extract_tb(error.__traceback__)
-    where = "" if last.filename.startswith("<") else f" ({Path(last.filename).name}, line {last.lineno})"
-    return " ".join(f"{type(error).__name__}: {error}{where}".split())
+    return type(error) is ValueError and Path(last.filename).is_relative_to(_HERE)
+
+
+def _theirs(filename: str) -> bool:
+    """Whether a file is neither this package's nor one that is installed, the standard library's included."""
+    place = Path(filename)
+    installed = [Path(path) for path in sysconfig.get_paths().values()]
+    return not filename.startswith("<") and not any(place.is_relative_to(path) for path in (_HERE, *installed))
 
 
 def written(function: Any) -> Any:

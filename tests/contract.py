@@ -103,6 +103,13 @@ def several_starts_differ(env):
     assert len(np.unique(np.asarray(starts).reshape(64, -1), axis=0)) > 1, "every key gives the same start"
 
 
+def several_restarts_differ(env):
+    """Where something outlives an episode, the next one begins as its key says."""
+    keys, state = jax.random.split(jax.random.key(1), 16), env.reset(jax.random.key(0))
+    starts = jax.jit(jax.vmap(lambda key: env.observe(next_episode(env, key, state))))(keys)
+    assert len(np.unique(np.asarray(starts).reshape(16, -1), axis=0)) > 1, "every key begins the same next episode"
+
+
 def a_deterministic_step_does_not_use_its_key(env):
     if not env.deterministic:
         return

@@ -136,6 +136,13 @@ def test_several_starts_differ(name):
     contract.several_starts_differ(ALL[name]())
 
 
+@pytest.mark.parametrize("name", [n for n in ALL if " of CartPole" in n or n in TOWERS])
+def test_episodes_of_wrapped_worlds_begin_as_their_key_says(name):
+    env = ALL[name]()
+    contract.several_starts_differ(env)
+    contract.several_restarts_differ(env)
+
+
 @pytest.mark.parametrize("name", envs.names())
 def test_truncation_comes_at_the_limit_and_not_before(name):
     env = envs.make(name, max_episode_steps=7)

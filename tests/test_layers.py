@@ -17,7 +17,7 @@ LAYERS = [
     ["bench.contest", "bench.report", "bench.memory", "bench.affinity", "bench", "sources"],
     ["settings", "axes", "table_parts"],
     ["worlds.world"],
-    ["worlds.classic", "worlds.toy_text"],
+    ["worlds.classic", "worlds.toy_text", "worlds.own"],
     ["worlds", "requests"],
     [
         "prng",

@@ -26,9 +26,10 @@ from jaxq.envs import (
     time_limit,
 )
 from jaxq.envs.mdp import MDPState
-from jaxq.envs.moments import no_moments, seen
+from jaxq.envs.moments import Moments, no_moments, seen
 from jaxq.envs.normalise import NormalisedState
 from jaxq.envs.probes import both
+from jaxq.saved_policy import lasting_state
 
 pytestmark = pytest.mark.usefixtures("programs_are_compiled_once")
 
@@ -290,9 +291,65 @@ def test_a_policy_is_evaluated_and_played_with_the_statistics_it_was_trained_wit
     for outcome in (swept, jaxq.load(tmp_path / "run", env=far_away)):
         assert np.all(replayed.play(outcome, 0, 1, 50).returns == 1)
         assert recording.returns(recording.play(outcome, 0, 1, 20, 10)) == [1] * 20
+        assert np.all(replayed.follow(outcome, 0, 1, 20, 5).followed == 1)
         weights = outcome.policy(0, 1).weights
         assert weights["env.env.moments.mean"] == pytest.approx(50.5, abs=0.2)
         assert set(weights) > {"env.t", "env.env.moments.variance", "params.Linear_1.kernel"}
+
+
+def normal_cartpole(length=0.5):
+    env = time_limit(envs.make("CartPole-v1", length=length), 20)
+    return sticky_actions(normalise_observation(env), 0.1)
+
+
+normal_cartpole.bounds, normal_cartpole.buckets = ((-2.0, 2.0),) * 4, (2, 2, 3, 3)
+
+
+def test_statistics_are_those_at_the_end_of_the_training_and_not_of_the_segment_it_ended_in():
+    swept = jaxq.sweep("q-learning", env=normal_cartpole, max_episodes=3, seeds=2, eval_episodes=2)
+    for seed in (0, 1):
+        row = swept.lanes.to_pylist()[seed]
+        weights = swept.policy(0, seed).weights
+        assert row["episodes"] == 3
+        # Every observation of a step, and the first of each of the four episodes that began.
+        assert weights["env.env.moments.weight"] == pytest.approx(row["env_steps"] + 4, abs=1e-3)
+        assert set(weights) > {"table", "env.env.env.t"}
+        assert replayed.play(swept, 0, seed, 2).returns.max() <= 20
+
+
+def test_halving_keeps_the_statistics_of_who_is_stopped(tmp_path):
+    numbers = {"max_env_steps": 16_000, "stop": "none", "eval_episodes": 2, "halving": 2, "seeds": 1}
+    swept = jaxq.sweep("q-learning", env=normal_cartpole, alpha_min=[0.1, 0.2], out=tmp_path / "run", **numbers)
+    rows = swept.lanes.to_pylist()
+    assert {row["status"] for row in rows} > {"stopped"}
+    for row in rows:
+        weights = jaxq.load(tmp_path / "run", env=normal_cartpole).policy(row["config"], 0).weights
+        weight = weights["env.env.moments.weight"]
+        assert row["env_steps"] + 1 < weight < 1.2 * row["env_steps"] + 1
+
+
+def test_a_state_of_another_tower_is_refused(tmp_path):
+    swept = jaxq.sweep("q-learning", env=normal_cartpole, max_episodes=3, eval_episodes=2)
+    for other in (normalise_observation(envs.make("CartPole-v1")), sticky_actions(envs.make("CartPole-v1"), 0.1)):
+        with pytest.raises(ValueError, match=r"^env: is not that of this run: its state has other parts$"):
+            lasting_state(swept.policy(0, 0).weights, jax.eval_shape(other.reset, jax.random.key(0)))
+
+
+def test_a_sticky_action_is_not_of_the_episode_before():
+    env = auto_reset(sticky_actions(normalise_observation(time_limit(both(), 1)), 1.0))
+    state = env.reset(jax.random.key(0))
+    for k in range(8):  # episodes of one step: with the last action kept none but the first would be free
+        state, happened = env.step(jax.random.key(k), state, k % 2)
+        assert bool(happened.terminated)
+        assert int(state.action) == -1
+
+
+def test_whole_numbers_are_moments_too():
+    cartpole = envs.make("CartPole-v1")
+    given = Moments(np.zeros(4, int), np.ones(4, int), 1)
+    env = normalise_observation(cartpole, moments=given, update=False)
+    state = env.reset(jax.random.key(0))
+    np.testing.assert_allclose(env.observe(state), cartpole.observe(state.env), rtol=1e-6)
 
 
 @pytest.mark.parametrize(

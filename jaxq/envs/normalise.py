@@ -54,7 +54,7 @@ def normalise_observation(
 
     def begun(inner: Any, before: Moments | None) -> NormalisedState:
         obs = in_float(env.observe(inner))
-        held = no_moments(obs.shape, obs.dtype) if before is None else before
+        held = no_moments(obs.shape, obs.dtype) if before is None else _in_floats(before)
         _check_moments(held, obs.shape)
         return NormalisedState(inner, seen(held, obs) if update else held)
 
@@ -93,7 +93,7 @@ def normalise_reward(
 
     def reset(key: Key) -> RewardState:
         inner = env.reset(key)
-        held = no_moments(dtype=_reward_dtype(env, inner)) if moments is None else moments
+        held = no_moments(dtype=_reward_dtype(env, inner)) if moments is None else _in_floats(moments)
         _check_moments(held, ())
         return RewardState(inner, jnp.zeros((), held.mean.dtype), held)
 
@@ -118,6 +118,10 @@ def _reward_dtype(env: Env, state: Any) -> Any:
     """The dtype of the environment's rewards, found without a step."""
     key = jax.eval_shape(lambda: jax.random.key(0))
     return jax.eval_shape(env.step, key, state, jax.ShapeDtypeStruct((), jnp.int32))[1].reward.dtype
+
+
+def _in_floats(moments: Moments) -> Moments:
+    return Moments(*map(in_float, moments))
 
 
 def _check_moments(moments: Moments, shape: tuple[int, ...]) -> None:
