@@ -27,8 +27,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             except UsageError as error:
                 print(f"jaxq: error: {' '.join(str(error).split())}", file=sys.stderr)
                 return exits.USAGE
-            except KeyboardInterrupt:  # before a run began
-                return exits.INTERRUPTED
     except streams.StdoutError as error:
         print(f"jaxq: error: {error}", file=sys.stderr)
         return exits.FAILED

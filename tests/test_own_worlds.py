@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import jaxq
-from jaxq import envs, exits, sources
+from jaxq import __main__, envs, exits, sources
 from jaxq.cli import main
 from jaxq.plans import plan
 
@@ -177,7 +177,8 @@ def test_ctrl_c_in_an_import_is_the_status_of_an_interruption(monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(sources.importlib, "import_module", interrupted)
-    assert main(["sweep", "dqn", "--env", "hills:hill"]) == exits.INTERRUPTED
+    monkeypatch.setattr(sys, "argv", ["jaxq", "sweep", "dqn", "--env", "hills:hill"])
+    assert __main__.main() == exits.INTERRUPTED
 
 
 def test_what_a_function_refuses_is_known_before_a_run_begins(capsys):

@@ -83,7 +83,7 @@ def check(some: Iterable[World]) -> None:
             continue
         values = one.flat()
         for place, tried, how in (
-            (tuple(values.items()), _tried, "raised"),
+            ((one.identity(), *values.items()), _tried, "raised"),
             (one.structural(), _traced, "does not take traced numbers:"),
         ):
             if place in seen:
