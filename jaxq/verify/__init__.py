@@ -28,8 +28,8 @@ GROUPS = {
     "lanes": "a lane alone with the same lane among others, bit for bit",
     "compiles": "one compiled program for all numbers of a structure",
 }
-#: Those that wait for XLA most of the time: they run beside the others, in their order.
-BESIDE = ("lanes", "compiles")
+#: Those that wait for XLA most of the time, half of the work: they run beside the others, in their order.
+BESIDE = ("rules", "lanes", "compiles")
 #: What the figures depend on.
 PACKAGES = ("jax", "jaxlib", "gymnasium", "numpy")
 #: Random states of each environment, and a measure of how much the other groups do.
