@@ -68,7 +68,7 @@ interop-gymnax:
 	$(PYTHON) benchmarks/peers/install.py .venv-peers-gymnax
 	PYTHONPATH=. .venv-peers-gymnax/bin/python tests/reference/gymnax_wrapped.py
 
-# Our DQN in Gymnasium's LunarLander-v3 by the host loop: a quarter of an hour on two cores.
+# Our DQN in Gymnasium's LunarLander-v3 by the host loop: minutes.
 lunar-lander:
 	$(PYTHON) benchmarks/peers/install.py .venv-peers-box2d
 	PYTHONPATH=. .venv-peers-box2d/bin/python -m benchmarks.lunar_lander

@@ -46,7 +46,7 @@ def some_outcomes():
 
 
 def usual_buckets(name):
-    world = WORLDS[name]
+    world = WORLDS[name]()
     low, high = zip(*world.bounds, strict=True)
     return discretise(envs.make(name), tutorial_edges(low, high, world.buckets))
 

@@ -286,3 +286,14 @@ def test_an_environment_without_a_threshold_is_not_held_to_one():
     assert settle(preset_of, env=walk, stop="window").stop == "window"
     with pytest.raises(ValueError, match=r"stop: gymnasium is not allowed: .*walk has no reward threshold"):
         settle(preset_of, env=walk, stop="gymnasium")
+
+
+def test_a_table_divides_between_the_bounds_that_the_worlds_own_numbers_give():
+    narrow, wide = (
+        programs.hypers(one).env[1]
+        for one in plan("q-learning", env="Pendulum-v1", **{"env.max_speed": [4.0, 8.0]}).settings
+    )
+    np.testing.assert_array_equal(narrow[0], wide[0])
+    np.testing.assert_allclose(2 * narrow[2], wide[2], rtol=1e-6, atol=1e-6)
+    for kind in WORLDS.values():
+        assert (kind().bounds is None) == (kind.buckets is None)

@@ -6,7 +6,7 @@ Barto, 2018, example 11.3 of the first edition. The reference for every number i
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +17,7 @@ from jaxq.elementary import sin_cos
 from jaxq.envs.precision import float_dtype
 from jaxq.types import Array, Env, Key, Step
 from jaxq.worlds import Acrobot
-
-Dynamics = Literal["book", "nips"]
-DYNAMICS = ("book", "nips")
+from jaxq.worlds.classic import Dynamics
 
 _DEFAULT = Acrobot()
 
@@ -88,8 +86,8 @@ def acrobot(
     Raises ValueError for unknown dynamics, a dtype other than float32 or float64, or float64 without
     ``jax_enable_x64``.
     """
-    if dynamics not in DYNAMICS:
-        raise ValueError(f"dynamics: {dynamics!r} is not one of {', '.join(DYNAMICS)}")
+    if dynamics not in (known := get_args(Dynamics)):
+        raise ValueError(f"dynamics: {dynamics!r} is not one of {', '.join(known)}")
     dtype, obs_dtype = float_dtype("dtype", dtype), float_dtype("obs_dtype", obs_dtype)
     p = params._replace(**{name: jnp.asarray(getattr(params, name), dtype) for name in _REALS})
     m2, l1, c2, moi = p.link_mass_2, p.link_length_1, p.link_com_pos_2, p.link_moi

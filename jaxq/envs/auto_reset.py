@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -36,6 +37,12 @@ def check_ends(env: Env, wrapper: str) -> None:
     if env.resets:
         why = "" if wrapper == "auto_reset" else f": auto_reset goes around {wrapper}"
         raise ValueError(f"env: one that resets by itself is not allowed{why}")
+
+
+def starts(env: Env, begun: Callable[[Any], Any]) -> dict[str, Any]:
+    """``reset`` and ``restart`` of a wrapper whose state is ``begun(inner)`` where an episode begins."""
+    restart = None if env.restart is None else lambda key, state: begun(next_episode(env, key, state.env))
+    return {"reset": lambda key: begun(env.reset(key)), "restart": restart}
 
 
 def next_episode(env: Env, key: Key, state: Any) -> Any:

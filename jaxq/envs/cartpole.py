@@ -7,7 +7,7 @@ equations of motion as corrected by Florian, 2007. The reference for every numbe
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +17,7 @@ from jaxq.elementary import sin_cos
 from jaxq.envs.precision import float_dtype
 from jaxq.types import Array, Env, Key, Step
 from jaxq.worlds import CartPole
-
-Integrator = Literal["euler", "semi-implicit"]
-INTEGRATORS = ("euler", "semi-implicit")
-
+from jaxq.worlds.classic import Integrator
 
 _DEFAULT = CartPole()
 
@@ -76,8 +73,8 @@ def cartpole(
     float32 observation of a float64 state. Raises ValueError for an unknown integrator, a dtype other than
     float32 or float64, or float64 without ``jax_enable_x64``.
     """
-    if integrator not in INTEGRATORS:
-        raise ValueError(f"integrator: {integrator!r} is not one of {', '.join(INTEGRATORS)}")
+    if integrator not in (known := get_args(Integrator)):
+        raise ValueError(f"integrator: {integrator!r} is not one of {', '.join(known)}")
     dtype = float_dtype("dtype", dtype)
     obs_dtype = float_dtype("obs_dtype", obs_dtype)
     p = params._replace(**{name: jnp.asarray(getattr(params, name), dtype) for name in _REALS})

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxq.envs.auto_reset import check_ends, next_episode
+from jaxq.envs.auto_reset import check_ends, starts
 from jaxq.envs.mdp import is_whole
 from jaxq.types import Array, Env, Key, Step
 
@@ -54,10 +54,9 @@ def frame_history(env: Env, count: int, *, padding: Padding = "reset") -> Env:
 
     return replace(
         env,
-        reset=lambda key: begun(env.reset(key)),
+        **starts(env, begun),
         step=step,
         observe=lambda state: state.frames,
         obs_shape=(count, *env.obs_shape),
         num_states=None,
-        restart=None if env.restart is None else lambda key, state: begun(next_episode(env, key, state.env)),
     )

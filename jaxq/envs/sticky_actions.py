@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxq.envs.auto_reset import check_ends, next_episode
+from jaxq.envs.auto_reset import check_ends, starts
 from jaxq.envs.mdp import known
 from jaxq.types import Array, ArrayLike, Env, Key, Step
 
@@ -37,7 +37,6 @@ def sticky_actions(env: Env, probability: ArrayLike) -> Env:
     check_ends(env, "sticky_actions")
     if known(probability) and not 0 <= float(np.asarray(probability)) <= 1:
         raise ValueError(f"probability: {probability} is not allowed: from 0 to 1")
-    none = jnp.full((), NO_ACTION, jnp.int32)
 
     def step(key: Key, state: StickyState, action: Array) -> tuple[StickyState, Step]:
         coin_key, step_key = jax.random.split(key)
@@ -48,11 +47,8 @@ def sticky_actions(env: Env, probability: ArrayLike) -> Env:
 
     return replace(
         env,
-        reset=lambda key: StickyState(env.reset(key), none),
+        **starts(env, lambda inner: StickyState(inner, jnp.full((), NO_ACTION, jnp.int32))),
         step=step,
         observe=lambda state: env.observe(state.env),
         deterministic=False,
-        restart=None
-        if env.restart is None
-        else lambda key, state: StickyState(next_episode(env, key, state.env), none),
     )

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxq.envs.auto_reset import check_ends, next_episode
+from jaxq.envs.auto_reset import check_ends, starts
 from jaxq.envs.mdp import check_steps
 from jaxq.types import Array, ArrayLike, Env, Key, Step
 
@@ -32,7 +32,6 @@ def time_limit(env: Env, max_episode_steps: ArrayLike) -> Env:
     """
     check_ends(env, "time_limit")
     check_steps(max_episode_steps)
-    zero = jnp.zeros((), jnp.int32)
 
     def step(key: Key, state: LimitedState, action: Array) -> tuple[LimitedState, Step]:
         inner, happened = env.step(key, state.env, action)
@@ -41,10 +40,7 @@ def time_limit(env: Env, max_episode_steps: ArrayLike) -> Env:
 
     return replace(
         env,
-        reset=lambda key: LimitedState(env.reset(key), zero),
+        **starts(env, lambda inner: LimitedState(inner, jnp.zeros((), jnp.int32))),
         step=step,
         observe=lambda state: env.observe(state.env),
-        restart=None
-        if env.restart is None
-        else lambda key, state: LimitedState(next_episode(env, key, state.env), zero),
     )

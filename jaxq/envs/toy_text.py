@@ -65,8 +65,9 @@ def frozen_lake(params: FrozenLakeParams = FrozenLakeParams(), *, is_slippery: b
     """FrozenLake-v1: walk over 4 x 4 cells of ice to the goal, without falling into a hole.
 
     The observation is row * 4 + column; actions 0 to 3 go left, down, right, up. Where it is slippery one goes there
-    with ``success_rate`` p, and to either side with (1 - p) / 2. An episode terminates in a hole or at the goal. The
-    reference is Gymnasium's ``FrozenLake-v1``.
+    with ``success_rate`` p, and to either side with (1 - p) / 2. An episode terminates in a hole or at the goal, and is
+    truncated at ``max_episode_steps``. Shapes: obs [] int32. Raises ValueError as ``outcome_mdp`` for known numbers
+    that are no probability, no finite reward or no number of steps. The reference is Gymnasium's ``FrozenLake-v1``.
 
     >>> frozen_lake().num_states
     16
@@ -75,7 +76,7 @@ def frozen_lake(params: FrozenLakeParams = FrozenLakeParams(), *, is_slippery: b
 
 
 def frozen_lake_8x8(params: FrozenLake8x8Params = FrozenLake8x8Params(), *, is_slippery: bool = True) -> Env:  # noqa: B008
-    """FrozenLake8x8-v1: ``frozen_lake`` of 8 x 8 cells; the observation is row * 8 + column."""
+    """FrozenLake8x8-v1: ``frozen_lake`` of 8 x 8 cells; the observation is row * 8 + column. Raises as it does."""
     return outcome_mdp(*_lake(params, is_slippery, "8x8"), max_episode_steps=params.max_episode_steps)
 
 
@@ -83,8 +84,9 @@ def cliff_walking(params: CliffWalkingParams = CliffWalkingParams(), *, is_slipp
     """CliffWalking-v1: walk along a cliff to the goal, -1 per step, -100 and back to the start over the edge.
 
     The observation is row * 12 + column of 4 x 12 cells; actions 0 to 3 go up, right, down, left. Where it is slippery
-    one goes there or to either side, each with 1/3. Sutton and Barto, 2018, example 6.6; the reference is Gymnasium's
-    ``CliffWalking-v1``.
+    one goes there or to either side, each with 1/3. An episode terminates at the goal, and is truncated at
+    ``max_episode_steps``. Shapes: obs [] int32. Raises ValueError for known steps that are no whole number from 1 on.
+    Sutton and Barto, 2018, example 6.6; the reference is Gymnasium's ``CliffWalking-v1``.
     """
     return outcome_mdp(*_cliff(is_slippery), max_episode_steps=params.max_episode_steps)
 
@@ -95,8 +97,9 @@ def taxi(params: TaxiParams = TaxiParams(), *, is_rainy: bool = False) -> Env:  
 
     The observation is ((row * 5 + column) * 5 + passenger) * 4 + destination; actions 0 to 3 go south, north, east,
     west, 4 picks up, 5 sets down. Where it rains a move that is possible goes there with ``rainy_probability`` p, and
-    to either side with (1 - p) / 2. Dietterich, *Hierarchical Reinforcement Learning with the MAXQ Value Function
-    Decomposition*, 2000; the reference is Gymnasium's ``Taxi-v4``.
+    to either side with (1 - p) / 2. An episode terminates where the passenger is brought, and is truncated at
+    ``max_episode_steps``. Shapes: obs [] int32. Raises ValueError as ``frozen_lake``. Dietterich, *Hierarchical
+    Reinforcement Learning with the MAXQ Value Function Decomposition*, 2000; the reference is Gymnasium's ``Taxi-v4``.
     """
     return outcome_mdp(*_taxi(params, is_rainy), max_episode_steps=params.max_episode_steps)
 

@@ -28,7 +28,7 @@ def _bits(shape: tuple[int, ...], dtype: Any) -> Draw:
 WORDS: dict[str, Draw] = {
     "key_data": lambda key, impl: jax.random.key_data(key),
     "split 2": lambda key, impl: jax.random.key_data(jax.random.split(key)),
-    "split": lambda key, impl: jax.random.key_data(jax.random.split(key, 5)),
+    "split": lambda key, impl: jax.random.key_data(jax.random.split(key, 9)),
     "fold_in": lambda key, impl: jax.random.key_data(jax.random.fold_in(key, 123)),
     "fold_in high": lambda key, impl: jax.random.key_data(jax.random.fold_in(key, np.uint32(HIGH))),
     "wrap": lambda key, impl: jax.random.bits(_wrapped(jax.random.key_data(key), impl), (2,)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeAlias
 
 from pydantic import model_validator
 
@@ -13,6 +13,11 @@ from jaxq.worlds.world import SIGNED, SIZE, Bounds, World
 
 def _limit(steps: int) -> int:
     return number(steps, "steps after which an episode is truncated", ge=1, le=NO_LIMIT)  # type: ignore[no-any-return]
+
+
+#: How CartPole's equations of motion are stepped, and which Acrobot's are.
+Integrator: TypeAlias = Literal["euler", "semi-implicit"]
+Dynamics: TypeAlias = Literal["book", "nips"]
 
 
 class CartPole(World):
@@ -34,7 +39,7 @@ class CartPole(World):
     max_episode_steps: int = _limit(500)
     reset_low: float = number(-0.05, "least of each coordinate at a reset", **SIGNED)
     reset_high: float = number(0.05, "greatest of each coordinate at a reset", **SIGNED)
-    integrator: Literal["euler", "semi-implicit"] = structure("euler", "how the equations of motion are stepped")
+    integrator: Integrator = structure("euler", "how the equations of motion are stepped")
     sutton_barto_reward: bool = structure(False, "reward 0, and -1 for the step that falls")
 
     @model_validator(mode="after")
@@ -59,14 +64,6 @@ class Acrobot(World):
     frame_rate: ClassVar[int] = 15
     summary: ClassVar[str] = "two links of which the second is driven, to be swung up"
     reward_threshold: ClassVar[float | None] = -100.0
-    bounds: ClassVar[tuple[tuple[float, float], ...] | None] = (
-        (-1.0, 1.0),
-        (-1.0, 1.0),
-        (-1.0, 1.0),
-        (-1.0, 1.0),
-        (-4 * math.pi, 4 * math.pi),
-        (-9 * math.pi, 9 * math.pi),
-    )
     buckets: ClassVar[tuple[int, ...] | None] = (4, 4, 4, 4, 5, 5)
 
     gravity: float = number(9.8, "m/s^2", **SIZE)
@@ -84,7 +81,7 @@ class Acrobot(World):
     max_episode_steps: int = _limit(500)
     reset_low: float = number(-0.1, "least of each coordinate at a reset", **SIGNED)
     reset_high: float = number(0.1, "greatest of each coordinate at a reset", **SIGNED)
-    dynamics: Literal["book", "nips"] = structure("book", "equations of motion of the book, or of the paper of 1995")
+    dynamics: Dynamics = structure("book", "equations of motion of the book, or of the paper of 1995")
 
     @model_validator(mode="after")
     def _ordered(self) -> Acrobot:
@@ -107,7 +104,6 @@ class MountainCar(World):
     id: ClassVar[str] = "MountainCar-v0"
     summary: ClassVar[str] = "a car too weak for the hill before it"
     reward_threshold: ClassVar[float | None] = -110.0
-    bounds: ClassVar[tuple[tuple[float, float], ...] | None] = ((-1.2, 0.6), (-0.07, 0.07))
     buckets: ClassVar[tuple[int, ...] | None] = (20, 20)
 
     min_position: float = number(-1.2, "m: the wall", **SIGNED)
@@ -141,7 +137,6 @@ class Pendulum(World):
 
     id: ClassVar[str] = "Pendulum-v1"
     summary: ClassVar[str] = "a rod to be swung up and held, its torque one of a few"
-    bounds: ClassVar[tuple[tuple[float, float], ...] | None] = ((-1.0, 1.0), (-1.0, 1.0), (-8.0, 8.0))
     buckets: ClassVar[tuple[int, ...] | None] = (9, 9, 11)
 
     gravity: float = number(10.0, "m/s^2", **SIZE)

@@ -21,16 +21,15 @@ class World(Settings):
 
     ``summary`` says what it is in a line. ``reward_threshold`` is the mean return at which it counts as solved, where
     there is such a thing. ``factory`` is the user's own function of the fields, None for an environment that ``envs``
-    knows by its ``id``. ``bounds`` are the low and high of each coordinate of an observation between which tables
-    divide it, into ``buckets`` unless told otherwise; None where a table needs none, or has bounds among its own
-    settings. A greedy evaluation is cut at ``eval_steps``, where an episode might never end. ``frame_rate`` is how many
-    steps of it a second shows.
+    knows by its ``id``. ``buckets`` is into how many parts tables divide each coordinate of an observation unless told
+    otherwise, between its ``bounds``; None where a table needs none, or has bounds among its own settings. A greedy
+    evaluation is cut at ``eval_steps``, where an episode might never end. ``frame_rate`` is how many steps of it a
+    second shows.
     """
 
     id: ClassVar[str] = ""
     summary: ClassVar[str] = ""
     reward_threshold: ClassVar[float | None] = None
-    bounds: ClassVar[tuple[tuple[float, float], ...] | None] = None
     buckets: ClassVar[tuple[int, ...] | None] = None
     eval_steps: ClassVar[int] = 10**6
     frame_rate: ClassVar[int] = 30
@@ -51,6 +50,11 @@ class World(Settings):
         """The least and greatest of each coordinate of an observation, which may be infinite; None where nobody has
         said. ``numbers`` is a world of this kind, or the record of its numbers in ``envs``."""
         return None
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """The low and high of each coordinate between which tables divide an observation; None where ``buckets`` is."""
+        return None if self.buckets is None else self.observed(self)
 
     def identity(self) -> Any:
         """The environment, or the user's function itself: two may have one name."""
