@@ -41,11 +41,6 @@ def roll(env, seed=0, steps=STEPS):
     return walk(rows[0], (rows[1 : steps + 1], rows[steps + 1 :], actions))
 
 
-def episodes_end(env):
-    happened, _, _ = roll(env)
-    assert np.any(happened.terminated | happened.truncated), "no episode ended: the walk is too short to see one"
-
-
 def shapes_and_dtypes_are_stable(env):
     reset_key, step_key = jax.random.split(jax.random.key(0))
     state = env.reset(reset_key)
@@ -86,6 +81,7 @@ def an_ended_episode_gives_way_to_a_start(env):
     """States after an end are among those that ``reset`` or ``restart`` can give: time starts anew."""
     happened, _, afters = roll(env)
     over = np.asarray(happened.terminated | happened.truncated)
+    assert over.any(), "no episode ended: the walk is too short to see one"
     start = env.reset(jax.random.key(3))
     for path, leaf in jax.tree_util.tree_leaves_with_path(afters):
         if jax.tree_util.keystr(path).endswith(".t"):
